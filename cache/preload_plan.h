@@ -1,0 +1,24 @@
+// Expected rays and a byte budget -> the hot set: which voxels a worker holds before its first tile.
+//
+// Pure and deterministic: ties go to the lower voxel id.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "cache/prediction.h"
+#include "common/scene_tables.h"
+
+namespace preheat {
+
+struct PreloadPlan {
+  std::vector<VoxelId> hot{};   // hottest per byte first
+  std::uint64_t hot_bytes = 0;  // resident bytes of `hot`, built; <= the budget
+};
+
+// What of `cache_limit_bytes` may be hot. `share` in [0,1]; negative = auto. The rest always holds
+// the largest voxel that is not hot, so that every cache renders.
+[[nodiscard]] PreloadPlan plan_preload(const SceneTables& tables, const Prediction& prediction,
+                                       std::uint64_t cache_limit_bytes, double share);
+
+}  // namespace preheat

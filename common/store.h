@@ -1,0 +1,69 @@
+// The compiled scene on disk: header, section table, scene tables, cameras, proxy, voxel blocks.
+//
+// Written once to a temporary name, synced and renamed. Read by mapping: opening checks magic,
+// version, every section's place and the tables' hashes, never the blocks, which each carry a hash of
+// their own in the directory and are checked by whoever receives them. Little-endian.
+// Threads: a Store is immutable; any thread may read it.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "common/proxy.h"
+#include "common/result.h"
+#include "common/scene.h"
+#include "common/scene_tables.h"
+
+namespace preheat {
+
+inline constexpr std::uint32_t kStoreVersion = 1;
+
+// Facts about how the store was made, for inspect and the report.
+struct StoreInfo {
+  std::string source_file{};
+  Hash128 source_hash{};
+  ImportReport import{};
+  std::uint64_t voxel_size_bytes = 0;  // the limit that voxels were cut to
+  // [P] Table 1 and section 2, over the fine octree.
+  std::uint64_t voxels_internal = 0;
+  std::uint64_t voxels_leaf = 0;   // non-empty leaves
+  std::uint64_t voxels_empty = 0;
+  std::uint32_t level_min = 0;
+  std::uint32_t level_max = 0;
+  double depth_mean = 0.0;        // D-bar, weighted by surface area
+  double blocking_mean = 0.0;     // p-bar
+  double objects_per_leaf = 0.0;  // m-bar
+  double traversal_cost = 0.0;    // C_t
+  double compile_seconds = 0.0;   // not part of any hash
+};
+
+class Store {
+ public:
+  // Missing, truncated, foreign, damaged or of another version: kStoreDamaged, with file and offset.
+  [[nodiscard]] static Result<Store> open(const std::filesystem::path& file);
+
+  [[nodiscard]] const SceneTables& tables() const;
+  [[nodiscard]] const std::vector<Camera>& cameras() const;
+  [[nodiscard]] const Proxy& proxy() const;
+  [[nodiscard]] const StoreInfo& info() const;
+
+  // The encoded scene tables, as sent to workers.
+  [[nodiscard]] std::span<const std::byte> tables_bytes() const;
+  // A voxel's block in the mapping, 16-byte aligned. Not verified here.
+  [[nodiscard]] std::span<const std::byte> block(VoxelId voxel) const;
+  [[nodiscard]] std::uint64_t proxy_bytes() const;
+  [[nodiscard]] std::uint64_t file_bytes() const;
+  // Of everything that the image depends on: tables and block hashes.
+  [[nodiscard]] Hash128 scene_hash() const;
+
+ private:
+  struct Content;
+  std::shared_ptr<const Content> content_;
+};
+
+}  // namespace preheat

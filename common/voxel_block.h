@@ -1,0 +1,51 @@
+// The bytes of one voxel: what is stored, hashed, sent and cached.
+//
+// Layout, little-endian, every section 16-byte aligned and padded with zeros:
+//   header     magic u32, vertex_count u32, triangle_count u32, flags u32 (bit 0: has normals)
+//   positions  float [vertex_count * 3], scene frame, followed by at least 4 bytes of padding, as
+//              Embree reads 16 bytes per vertex
+//   normals    u32 [vertex_count], octahedral 2 x 16 bit, 0 = use the geometric normal; if flagged
+//   indices    u32 [triangle_count * 3], counting the block's vertices
+//   triangles  u32 [triangle_count], global triangle ids, strictly increasing
+//   materials  u32 [triangle_count]
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "common/result.h"
+#include "common/scene.h"
+#include "common/vec3.h"
+
+namespace preheat {
+
+// Views into a block's bytes, valid while they live.
+struct VoxelBlockView {
+  std::span<const float> positions{};          // [vertex_count * 3]
+  std::span<const std::uint32_t> normals{};    // [vertex_count] or empty
+  std::span<const std::uint32_t> indices{};    // [triangle_count * 3]
+  std::span<const std::uint32_t> triangles{};  // [triangle_count]
+  std::span<const std::uint32_t> materials{};  // [triangle_count]
+};
+
+// Bytes of a block before it exists.
+[[nodiscard]] std::size_t voxel_block_bytes(std::size_t vertex_count, std::size_t triangle_count,
+                                            bool has_normals);
+
+// The block of the given triangles of the scene. `triangle_ids` strictly increasing.
+[[nodiscard]] std::vector<std::byte> encode_voxel_block(
+    const Scene& scene, std::span<const std::uint32_t> triangle_ids);
+
+// Checks everything that a reader relies on: counts against bytes, indices, finite positions,
+// materials below `material_count`. Bytes must be 16-byte aligned.
+[[nodiscard]] Result<VoxelBlockView> view_voxel_block(std::span<const std::byte> bytes,
+                                                      std::size_t material_count);
+
+// Octahedral encoding of unit vectors in 2 x 16 bits (Cigolle et al., JCGT 2014); error below
+// 0.004 degrees. 0 is kept for "no normal". Decoding uses + - * / and sqrt only.
+[[nodiscard]] std::uint32_t encode_normal(const Vec3& unit);
+[[nodiscard]] Vec3 decode_normal(std::uint32_t code);
+
+}  // namespace preheat
