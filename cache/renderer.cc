@@ -1,7 +1,7 @@
 #include "cache/renderer.h"
 
-#include <immintrin.h>
 #include <fmt/format.h>
+#include <immintrin.h>
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
@@ -30,8 +30,8 @@ double seconds_since(Clock::time_point begin) {
   return std::chrono::duration<double>(Clock::now() - begin).count();
 }
 
-// Denormal numbers would slow single threads down and change their bits: every thread that traces or
-// shades flushes them, in every process.
+// Denormal numbers would slow single threads down and change their bits: every thread that traces
+// or shades flushes them, in every process.
 void flush_denormals() {
   constexpr unsigned kFlushToZero = 0x8000;
   constexpr unsigned kDenormalsAreZero = 0x0040;
@@ -63,9 +63,9 @@ class Renderer::Impl {
 
  private:
   struct TracerSeat {
-    std::unique_ptr<Tracer> tracer{};     // touched by its thread only, once running
-    std::vector<VoxelId> available{};     // published voxels it may have rays for
-    RayStats rays{};                      // copies of the tracer's counts as of its last batch
+    std::unique_ptr<Tracer> tracer{};  // touched by its thread only, once running
+    std::vector<VoxelId> available{};  // published voxels it may have rays for
+    RayStats rays{};                   // copies of the tracer's counts as of its last batch
     std::uint64_t misses = 0;
     std::uint64_t accesses = 0;
     std::vector<std::uint64_t> accesses_by_voxel{};
@@ -270,7 +270,9 @@ void Renderer::Impl::emit(RendererEvent event) {
 void Renderer::Impl::step_cache() {
   for (const VoxelCache::Command& command : cache_->step()) {
     switch (command.action) {
-      case VoxelCache::Action::kFetch: emit(VoxelNeeded{command.voxel}); break;
+      case VoxelCache::Action::kFetch:
+        emit(VoxelNeeded{command.voxel});
+        break;
       case VoxelCache::Action::kBuild:
         jobs_.emplace_back(command.voxel);
         builder_wake_.notify_one();
@@ -279,7 +281,9 @@ void Renderer::Impl::step_cache() {
         retired_.push_back({command.voxel, resident_.withdraw(command.voxel)});
         builder_wake_.notify_one();
         break;
-      case VoxelCache::Action::kDropBlock: blocks_.erase(command.voxel); break;
+      case VoxelCache::Action::kDropBlock:
+        blocks_.erase(command.voxel);
+        break;
     }
   }
 }
@@ -317,8 +321,7 @@ void Renderer::Impl::build_hot_set() {
   for (std::size_t voxel = 0; voxel < is_hot_.size(); ++voxel) {
     if (!is_hot_[voxel]) { cold.push_back(VoxelId{static_cast<std::uint32_t>(voxel)}); }
   }
-  auto residency =
-      std::make_unique<Residency>(hot_device_, *hot_mesh_, tables_, cold, resident_);
+  auto residency = std::make_unique<Residency>(hot_device_, *hot_mesh_, tables_, cold, resident_);
   const std::string error = hot_device_.take_error();
 
   const std::lock_guard lock(mutex_);
@@ -332,8 +335,7 @@ void Renderer::Impl::build_hot_set() {
     if (is_hot_[voxel]) { promised += tables_.voxels[voxel].resident_bytes; }
   }
   hot_bytes_ = std::min(promised, hot_mesh_->bytes() + hot_device_.bytes());
-  build_peak_bytes_ =
-      std::max(build_peak_bytes_, hot_device_.bytes_peak() - hot_device_.bytes());
+  build_peak_bytes_ = std::max(build_peak_bytes_, hot_device_.bytes_peak() - hot_device_.bytes());
   preload_.seconds = seconds_since(hot_begin_);
   cache_.emplace(tables_.voxels, options_.cache_limit_bytes - hot_bytes_,
                  [this](VoxelId voxel) { return resident_.last_used(voxel); });
@@ -370,8 +372,8 @@ void Renderer::Impl::build_voxel(VoxelId voxel) {
 
   const std::lock_guard lock(mutex_);
   if (!error.empty()) {
-    emit(RendererFailed{{ExitCode::kFailed, fmt::format("voxel {} could not be built: {}",
-                                                        index_of(voxel), error)}});
+    emit(RendererFailed{{ExitCode::kFailed,
+                         fmt::format("voxel {} could not be built: {}", index_of(voxel), error)}});
     return;
   }
   build_peak_bytes_ = std::max(build_peak_bytes_, transient);

@@ -1,10 +1,11 @@
-// Which cold voxels can be traced right now: one pointer a voxel, read by every tracer thread without a
-// lock, with a safe moment to free what was taken out.
+// Which cold voxels can be traced right now: one pointer a voxel, read by every tracer thread
+// without a lock, with a safe moment to free what was taken out.
 //
-// Epochs (Fraser 2004, section 5.2.3): a tracer announces the current epoch before it reads pointers
-// and withdraws it after its batch. A mesh taken out at epoch e is unreachable for batches that begin
-// later, so it may be freed once no tracer announces an epoch <= e. Tracers never wait.
-// Threads: lookup under a Guard by any tracer; publish, withdraw and is_quiescent by one owner at a time.
+// Epochs (Fraser 2004, section 5.2.3): a tracer announces the current epoch before it reads
+// pointers and withdraws it after its batch. A mesh taken out at epoch e is unreachable for batches
+// that begin later, so it may be freed once no tracer announces an epoch <= e. Tracers never wait.
+// Threads: lookup under a Guard by any tracer; publish, withdraw and is_quiescent by one owner at a
+// time.
 #pragma once
 
 #include <atomic>

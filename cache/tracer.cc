@@ -50,8 +50,7 @@ void Tracer::add_tile(TileId tile) {
 }
 
 void Tracer::begin_window(ActiveTile& tile) const {
-  const std::size_t window_max =
-      std::max<std::size_t>(1, context_.paths_max / tile.pixel_count());
+  const std::size_t window_max = std::max<std::size_t>(1, context_.paths_max / tile.pixel_count());
   tile.window_size = static_cast<std::uint32_t>(
       std::min<std::size_t>(window_max, context_.settings.spp - tile.window_begin));
   tile.started = 0;
@@ -95,8 +94,7 @@ bool Tracer::start_path() {
   const std::uint32_t y = tile.rect.y + pixel_in_tile / tile.rect.width;
   ShadedVertex camera;
   camera.has_scatter_ray = true;
-  camera.scatter =
-      context_.shading.start_path(y * context_.settings.width + x, sample, path.state);
+  camera.scatter = context_.shading.start_path(y * context_.settings.width + x, sample, path.state);
   ++rays_.camera;
   launch(path_index, camera);
   if (++tile.started == tile.window_count()) { tiles_startable_.pop_back(); }
@@ -211,9 +209,12 @@ void Tracer::end_window(std::uint32_t tile_slot) {
 
 bool Tracer::is_counted(const Path& path, RayKind kind) const {
   switch (context_.count_accesses) {
-    case AccessCounting::kNone: return false;
-    case AccessCounting::kExact: return true;
-    case AccessCounting::kSampled: break;
+    case AccessCounting::kNone:
+      return false;
+    case AccessCounting::kExact:
+      return true;
+    case AccessCounting::kSampled:
+      break;
   }
   return ray_hash(path.state, static_cast<std::uint32_t>(kind)) % kAccessSampling == 0;
 }

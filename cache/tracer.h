@@ -1,15 +1,15 @@
-// One tracer's paths, advanced in batches: trace, shade, park where a voxel is missing, go on when it
-// has come. Owns its tiles from first sample to last; shares nothing but the residency.
+// One tracer's paths, advanced in batches: trace, shade, park where a voxel is missing, go on when
+// it has come. Owns its tiles from first sample to last; shares nothing but the residency.
 //
 //   add_tile -> fresh paths -> [runnable rays] -> trace --final--> join -> shade -> runnable rays
-//                                   ^               |                        '-> samples -> finished tile
-//                                   |               v waiting
+//                                   ^               |                        '-> samples ->
+//                                   finished tile |               v waiting
 //                            voxel_available <- [parked rays by voxel] -> demands
 //
-// Rays run last-in first-out, so that a path stays in the processor's cache until it ends or parks, and
-// new paths start only when nothing else can run. Both rays of a vertex may be in flight at once; the next
-// vertex is shaded when both are done, so radiance is summed in path order whatever arrived first.
-// Threads: one thread at a time calls every member; no clock, no lock, no socket.
+// Rays run last-in first-out, so that a path stays in the processor's cache until it ends or parks,
+// and new paths start only when nothing else can run. Both rays of a vertex may be in flight at
+// once; the next vertex is shaded when both are done, so radiance is summed in path order whatever
+// arrived first. Threads: one thread at a time calls every member; no clock, no lock, no socket.
 #pragma once
 
 #include <cstdint>
@@ -104,9 +104,9 @@ class Tracer {
     TileAccumulator sums{0};
     std::uint32_t window_begin = 0;  // first sample of the window
     std::uint32_t window_size = 0;
-    std::uint32_t started = 0;       // samples of the window, pixel by pixel
+    std::uint32_t started = 0;  // samples of the window, pixel by pixel
     std::uint32_t finished = 0;
-    std::vector<Vec3> samples{};     // [pixel_count * window_size]
+    std::vector<Vec3> samples{};  // [pixel_count * window_size]
     [[nodiscard]] std::uint32_t pixel_count() const { return rect.width * rect.height; }
     [[nodiscard]] std::uint32_t window_count() const { return pixel_count() * window_size; }
   };

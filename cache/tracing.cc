@@ -159,8 +159,7 @@ Vec3 shading_normal(const MeshArrays& arrays, std::uint32_t primitive,
   if (arrays.normals.empty()) { return normal_geometric; }
   Vec3 sum(0.0F);
   for (unsigned corner = 0; corner < 3; ++corner) {
-    const std::uint32_t code =
-        arrays.normals[arrays.indices[std::size_t{primitive} * 3 + corner]];
+    const std::uint32_t code = arrays.normals[arrays.indices[std::size_t{primitive} * 3 + corner]];
     if (code == 0) { return normal_geometric; }
     sum += decode_normal(code) * weights[corner];
   }
@@ -179,8 +178,8 @@ void fill_surface(const QueryContext& context, RayQuery& query) {
   const Vec3 c = vertex_at(arrays, context.primitive, 2);
   SurfaceHit& surface = query.surface;
   surface.position = a * weights[0] + b * weights[1] + c * weights[2];
-  const Vec3 magnitude = glm::abs(a * weights[0]) + glm::abs(b * weights[1]) +
-                         glm::abs(c * weights[2]);
+  const Vec3 magnitude =
+      glm::abs(a * weights[0]) + glm::abs(b * weights[1]) + glm::abs(c * weights[2]);
   constexpr float kGamma7 = 4.1723277e-07F;
   surface.position_error = kGamma7 * std::max({magnitude.x, magnitude.y, magnitude.z});
   // In double, as the cross product of small edges would lose its bits or underflow in float.
@@ -343,8 +342,7 @@ namespace {
 
 void box_bounds(const RTCBoundsFunctionArguments* arguments) {
   const auto& residency = *static_cast<const Residency::Impl*>(arguments->geometryUserPtr);
-  const Aabb& box =
-      residency.tables->voxels[index_of(residency.cold[arguments->primID])].bounds;
+  const Aabb& box = residency.tables->voxels[index_of(residency.cold[arguments->primID])].bounds;
   RTCBounds& bounds = *arguments->bounds_o;
   bounds.lower_x = box.low.x;
   bounds.lower_y = box.low.y;
@@ -354,7 +352,8 @@ void box_bounds(const RTCBoundsFunctionArguments* arguments) {
   bounds.upper_z = box.high.z;
 }
 
-// The resident mesh of a cold voxel that the ray enters, or nullptr with the voxel noted or outside.
+// The resident mesh of a cold voxel that the ray enters, or nullptr with the voxel noted or
+// outside.
 const VoxelMesh* enter_voxel(QueryContext& context, std::uint32_t primitive, const RTCRay& ray) {
   const Residency::Impl& residency = *context.residency;
   const VoxelId voxel = residency.cold[primitive];

@@ -5,11 +5,11 @@
 //   absent -> fetching -> raw -> building -> built -> withdrawing -> raw -> absent
 //
 // A voxel that rays wait for is admitted when its whole resident size (block and BVH bound) can be
-// had; what is admitted is never evicted before it has served the rays that waited for it. So admitted
-// voxels always come to an end, and a limit of one voxel still renders: they are admitted in turn.
-// Room is made from the voxel that was used longest ago: first its BVH goes, then its block.
-// Invariant: promised_bytes() <= limit_bytes, and held_bytes() <= promised_bytes().
-// Threads: none of its own; the owner locks.
+// had; what is admitted is never evicted before it has served the rays that waited for it. So
+// admitted voxels always come to an end, and a limit of one voxel still renders: they are admitted
+// in turn. Room is made from the voxel that was used longest ago: first its BVH goes, then its
+// block. Invariant: promised_bytes() <= limit_bytes, and held_bytes() <= promised_bytes(). Threads:
+// none of its own; the owner locks.
 #pragma once
 
 #include <cstdint>
@@ -36,7 +36,7 @@ class VoxelCache {
     friend bool operator==(const Command&, const Command&) = default;
   };
   struct Counts {
-    std::uint64_t fetches = 0;    // blocks that arrived
+    std::uint64_t fetches = 0;  // blocks that arrived
     std::uint64_t fetched_bytes = 0;
     std::uint64_t rebuilds = 0;   // builds from a block that was held already
     std::uint64_t evictions = 0;  // blocks or BVHs given up
@@ -74,7 +74,7 @@ class VoxelCache {
   enum class State : std::uint8_t { kAbsent, kFetching, kRaw, kBuilding, kBuilt, kWithdrawing };
   struct Slot {
     State state = State::kAbsent;
-    bool held_before = false;    // the block was there before the build was asked for
+    bool held_before = false;     // the block was there before the build was asked for
     std::uint64_t bvh_bytes = 0;  // promised until built, then real
     std::uint64_t waiting = 0;
   };
@@ -93,8 +93,8 @@ class VoxelCache {
   std::uint64_t limit_bytes_;
   std::function<std::uint64_t(VoxelId)> last_used_;
   std::vector<Slot> slots_;
-  std::vector<VoxelId> wanted_;      // waited for and not yet admitted
-  std::vector<VoxelId> occupied_;    // every voxel that is not absent
+  std::vector<VoxelId> wanted_;    // waited for and not yet admitted
+  std::vector<VoxelId> occupied_;  // every voxel that is not absent
   std::uint64_t promised_bytes_ = 0;
   std::uint64_t held_bytes_ = 0;
   std::uint64_t held_bytes_peak_ = 0;

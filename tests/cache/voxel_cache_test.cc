@@ -120,8 +120,8 @@ TEST(VoxelCache, DropsBytesThatNobodyAskedFor) {
   EXPECT_EQ(cache.held_bytes(), 0U);
 }
 
-// Random demand against caches of one voxel and up; commands are answered in random order. Every ray
-// that waits must be served and the limit must hold after every call.
+// Random demand against caches of one voxel and up; commands are answered in random order. Every
+// ray that waits must be served and the limit must hold after every call.
 class VoxelCacheUnderRandomDemand : public testing::TestWithParam<std::uint64_t> {};
 
 TEST_P(VoxelCacheUnderRandomDemand, ServesEveryRayWithinTheLimit) {
@@ -154,12 +154,17 @@ TEST_P(VoxelCacheUnderRandomDemand, ServesEveryRayWithinTheLimit) {
       under_way.pop_back();
       const VoxelEntry& entry = voxels[index_of(command.voxel)];
       switch (command.action) {
-        case Action::kFetch: ASSERT_TRUE(cache.block_arrived(command.voxel)); break;
+        case Action::kFetch:
+          ASSERT_TRUE(cache.block_arrived(command.voxel));
+          break;
         case Action::kBuild:
           cache.built(command.voxel, (entry.resident_bytes - entry.block_bytes) * 9 / 10);
           break;
-        case Action::kWithdraw: cache.withdrawn(command.voxel); break;
-        case Action::kDropBlock: break;
+        case Action::kWithdraw:
+          cache.withdrawn(command.voxel);
+          break;
+        case Action::kDropBlock:
+          break;
       }
     }
     for (std::uint32_t id = 0; id < voxels.size(); ++id) {
@@ -183,8 +188,7 @@ TEST_P(VoxelCacheUnderRandomDemand, ServesEveryRayWithinTheLimit) {
   EXPECT_GT(cache.counts().evictions, 0U);
 }
 
-INSTANTIATE_TEST_SUITE_P(VoxelsThatFit, VoxelCacheUnderRandomDemand,
-                         testing::Values(1, 2, 3, 8));
+INSTANTIATE_TEST_SUITE_P(VoxelsThatFit, VoxelCacheUnderRandomDemand, testing::Values(1, 2, 3, 8));
 
 }  // namespace
 }  // namespace preheat
