@@ -3,16 +3,12 @@
 #include <xxhash.h>
 
 #include <algorithm>
-#include <cereal/archives/portable_binary.hpp>
-#include <cereal/cereal.hpp>
-#include <cmath>
-#include <istream>
+#include <array>
+#include <limits>
 #include <new>
-#include <ostream>
-#include <streambuf>
-#include <type_traits>
 #include <utility>
 
+#include "common/bounded.h"
 #include "common/check.h"
 
 namespace preheat {
@@ -43,41 +39,15 @@ std::uint64_t checksum(const std::byte* header, std::span<const std::byte> body)
   return XXH3_64bits_withSeed(body.data(), body.size(), of_header);
 }
 
-// Reads a span in place; cereal then fails at its end instead of reading on.
-class SpanReader : public std::streambuf {
- public:
-  explicit SpanReader(std::span<const std::byte> bytes) {
-    // The get area is never written through.
-    char* begin = const_cast<char*>(reinterpret_cast<const char*>(bytes.data()));
-    setg(begin, begin, begin + bytes.size());
-  }
-  [[nodiscard]] std::size_t bytes_left() const {
-    return static_cast<std::size_t>(egptr() - gptr());
-  }
-};
-
-class VectorWriter : public std::streambuf {
- public:
-  explicit VectorWriter(std::vector<std::byte>& bytes) : bytes_(bytes) {}
-
- protected:
-  std::streamsize xsputn(const char* from, std::streamsize count) override {
-    const auto* begin = reinterpret_cast<const std::byte*>(from);
-    bytes_.insert(bytes_.end(), begin, begin + count);
-    return count;
-  }
-  int_type overflow(int_type value) override {
-    bytes_.push_back(static_cast<std::byte>(value));
-    return value;
-  }
-
- private:
-  std::vector<std::byte>& bytes_;
-};
-
 }  // namespace
 
 // Found by cereal through argument-dependent lookup, hence in the types' own namespace.
+
+// Any value of an id's type may be an id; who uses it knows how many there are.
+template <class Id>
+EnumUpTo<Id> id(Id& value) {
+  return enum_up_to(value, static_cast<Id>(std::numeric_limits<std::underlying_type_t<Id>>::max()));
+}
 
 template <class Archive>
 void serialize(Archive& archive, RayStats& rays) {
@@ -102,87 +72,125 @@ void serialize(Archive& archive, WorkerStats& stats) {
 }
 
 template <class Archive>
-void save(Archive& archive, const RenderSettings& settings) {
-  const View& view = settings.view;
-  for (const Vec3& v : {view.origin, view.forward, view.right, view.up, settings.sky}) {
-    archive(v.x, v.y, v.z);
-  }
-  archive(static_cast<std::uint8_t>(view.orthographic), settings.width, settings.height,
-          settings.spp, settings.bounces, settings.seed);
+void serialize(Archive& archive, RenderSettings& settings) {
+  View& view = settings.view;
+  archive(view.origin, view.forward, view.right, view.up, view.orthographic, settings.sky,
+          settings.width, settings.height, settings.spp, settings.bounces, settings.seed);
+}
+
+template <class Archive, class T, std::size_t kCountMax>
+void serialize(Archive& archive, BoundedVector<T, kCountMax>& vector) {
+  static_assert(kCountMax * sizeof(T) <= kControlFrameBytesMax);
+  archive(at_most(vector.items, kCountMax));
+}
+
+template <class Archive, std::size_t kBytesMax>
+void serialize(Archive& archive, BoundedString<kBytesMax>& string) {
+  archive(at_most(string.text, kBytesMax));
 }
 
 template <class Archive>
-void load(Archive& archive, RenderSettings& settings) {
-  View& view = settings.view;
-  for (Vec3* v : {&view.origin, &view.forward, &view.right, &view.up, &settings.sky}) {
-    archive(v->x, v->y, v->z);
-  }
-  std::uint8_t orthographic = 0;
-  archive(orthographic, settings.width, settings.height, settings.spp, settings.bounces,
-          settings.seed);
-  if (orthographic > 1) { throw cereal::Exception("bool"); }
-  view.orthographic = orthographic == 1;
+void serialize(Archive& archive, Hello& hello) {
+  archive(hello.session, hello.build, hello.isa, hello.self_test, hello.threads,
+          enum_up_to(hello.cache_kind, CacheRequestKind::kBytes), hello.cache_share,
+          hello.cache_bytes, hello.process_id);
 }
 
-template <class Archive, class T, std::size_t kCountMax>
-void save(Archive& archive, const BoundedVector<T, kCountMax>& vector) {
-  CHECK(vector.items.size() <= kCountMax);
-  archive(static_cast<std::uint32_t>(vector.items.size()));
-  for (const T& item : vector.items) { archive(item); }
+template <class Archive>
+void serialize(Archive& archive, Welcome& welcome) {
+  archive(id(welcome.worker), welcome.bulk_port, welcome.settings, welcome.tile_size,
+          enum_up_to(welcome.count_accesses, AccessCounting::kExact), welcome.cache_limit_bytes,
+          welcome.tables_bytes, welcome.tables_hash, welcome.plan_bytes, welcome.plan_hash);
 }
 
-template <class Archive, class T, std::size_t kCountMax>
-void load(Archive& archive, BoundedVector<T, kCountMax>& vector) {
-  static_assert(kCountMax * sizeof(T) <= kControlFrameBytesMax);
-  std::uint32_t count = 0;
-  archive(count);
-  if (count > kCountMax) { throw cereal::Exception("count"); }
-  vector.items.resize(count);
-  for (T& item : vector.items) { archive(item); }
+template <class Archive>
+void serialize(Archive& archive, Refuse& refuse) {
+  archive(refuse.exit_code, refuse.text);
 }
 
-template <class Archive, std::size_t kBytesMax>
-void save(Archive& archive, const BoundedString<kBytesMax>& string) {
-  const std::size_t bytes = std::min(string.text.size(), kBytesMax);
-  archive(static_cast<std::uint32_t>(bytes), cereal::binary_data(string.text.data(), bytes));
+template <class Archive>
+void serialize(Archive& archive, Ready& ready) {
+  archive(ready.preload);
 }
 
-// Foreign text ends up in our log: only printable ASCII passes.
-template <class Archive, std::size_t kBytesMax>
-void load(Archive& archive, BoundedString<kBytesMax>& string) {
-  std::uint32_t bytes = 0;
-  archive(bytes);
-  if (bytes > kBytesMax) { throw cereal::Exception("length"); }
-  string.text.resize(bytes);
-  archive(cereal::binary_data(string.text.data(), bytes));
-  const auto printable = [](char c) { return c >= ' ' && c <= '~'; };
-  if (!std::all_of(string.text.begin(), string.text.end(), printable)) {
-    throw cereal::Exception("text");
-  }
+template <class Archive>
+void serialize(Archive& archive, Lease& lease) {
+  archive(id(lease.id), id(lease.tile));
+}
+
+template <class Archive>
+void serialize(Archive& archive, Grant& grant) {
+  archive(grant.leases);
+}
+
+template <class Archive>
+void serialize(Archive& archive, Cancel& cancel) {
+  archive(cancel.leases);
+}
+
+template <class Archive>
+void serialize(Archive& archive, ResultAck& ack) {
+  archive(id(ack.lease));
+}
+
+template <class Archive>
+void serialize(Archive& archive, WorkerHeartbeat& heartbeat) {
+  archive(heartbeat.progress, heartbeat.stats, heartbeat.held);
+}
+
+template <class Archive>
+void serialize(Archive& archive, MasterHeartbeat& heartbeat) {
+  archive(heartbeat.tiles_done, heartbeat.tiles_total);
+}
+
+template <class Archive>
+void serialize(Archive& archive, Fault& fault) {
+  archive(enum_up_to(fault.kind, FaultKind::kVoxelDamaged), id(fault.voxel), fault.text);
+}
+
+template <class Archive>
+void serialize(Archive& archive, Goodbye& goodbye) {
+  archive(goodbye.stats);
+}
+
+template <class Archive>
+void serialize(Archive& archive, RangeRequest& request) {
+  archive(enum_up_to(request.object, BulkObject::kVoxel), id(request.voxel), request.offset,
+          request.bytes);
+}
+
+template <class Archive>
+void serialize(Archive& archive, RangeReply& reply) {
+  archive(enum_up_to(reply.object, BulkObject::kVoxel), id(reply.voxel), reply.offset);
+}
+
+template <class Archive>
+void serialize(Archive& archive, TileChunk& chunk) {
+  archive(id(chunk.lease), id(chunk.tile), chunk.offset, chunk.total_bytes, chunk.hash);
+}
+
+template <class Archive>
+void serialize(Archive& archive, TileChunkAck& ack) {
+  archive(id(ack.lease), ack.offset);
 }
 
 namespace {
 
-bool in_range(double value, double low, double high) { return value >= low && value <= high; }
-
-bool valid(const WorkerStats& stats) {
-  return std::isfinite(stats.cache.stall_seconds) && std::isfinite(stats.preload.seconds);
-}
-
 bool valid(const RenderSettings& settings) {
-  const View& view = settings.view;
-  for (const Vec3& v : {view.origin, view.forward, view.right, view.up, settings.sky}) {
-    if (!std::isfinite(v.x) || !std::isfinite(v.y) || !std::isfinite(v.z)) { return false; }
-  }
   const std::uint64_t pixels = std::uint64_t{settings.width} * settings.height;
   return settings.width >= 1 && settings.width <= kImageSideMax && settings.height >= 1 &&
          settings.height <= kImageSideMax && pixels <= (std::uint64_t{1} << 31) &&
          settings.spp >= 1 && settings.spp <= kSamplesMax && settings.bounces <= kBouncesMax;
 }
 
+// Foreign text ends up in our log: only printable ASCII passes.
+bool printable(const std::string& text) {
+  return std::all_of(text.begin(), text.end(), [](char c) { return c >= ' ' && c <= '~'; });
+}
+
 bool valid(const Hello& hello) {
-  return hello.threads >= 1 && hello.threads <= kThreadsMax &&
-         hello.cache_kind <= CacheRequestKind::kBytes && in_range(hello.cache_share, 0.0, 1.0);
+  return hello.threads >= 1 && hello.threads <= kThreadsMax && hello.cache_share >= 0.0 &&
+         hello.cache_share <= 1.0 && printable(hello.build.text) && printable(hello.isa.text);
 }
 
 bool valid(const Welcome& welcome) {
@@ -191,22 +199,17 @@ bool valid(const Welcome& welcome) {
   }
   const TileGrid grid{welcome.settings.width, welcome.settings.height, welcome.tile_size};
   return std::uint64_t{grid.columns()} * grid.rows() <= kTilesMax && welcome.bulk_port >= 1 &&
-         welcome.bulk_port <= 65535 && welcome.count_accesses <= AccessCounting::kExact &&
-         welcome.tables_bytes <= kTablesBytesMax && welcome.plan_bytes <= kVoxelsMax * 4 &&
-         welcome.plan_bytes % 4 == 0;
+         welcome.bulk_port <= 65535 && welcome.tables_bytes <= kTablesBytesMax &&
+         welcome.plan_bytes <= kVoxelCountMax * 4 && welcome.plan_bytes % 4 == 0;
 }
 
-bool valid(const Ready& ready) { return std::isfinite(ready.preload.seconds); }
-bool valid(const WorkerHeartbeat& heartbeat) { return valid(heartbeat.stats); }
-bool valid(const Goodbye& goodbye) { return valid(goodbye.stats); }
+bool valid(const Refuse& refuse) { return printable(refuse.text.text); }
 
 bool valid(const RangeRequest& request) {
-  return request.object <= BulkObject::kVoxel && request.bytes >= 1 &&
-         request.bytes <= kChunkBytesMax && request.offset <= kTablesBytesMax;
+  return request.bytes >= 1 && request.bytes <= kChunkBytesMax && request.offset <= kTablesBytesMax;
 }
 
-bool valid(const Fault& fault) { return fault.kind <= FaultKind::kVoxelDamaged; }
-bool valid(const RangeReply& reply) { return reply.object <= BulkObject::kVoxel; }
+bool valid(const Fault& fault) { return printable(fault.text.text); }
 
 bool valid(const TileChunk& chunk) {
   constexpr std::uint64_t kTileBytesMax = std::uint64_t{kTileSizeMax} * kTileSizeMax * 16;
@@ -220,8 +223,7 @@ bool valid(const T&) {
 }
 
 template <std::size_t kIndex>
-bool decode_alternative(std::size_t type, cereal::PortableBinaryInputArchive& archive,
-                        Message& message) {
+bool decode_alternative(std::size_t type, BoundedInput& archive, Message& message) {
   if (type != kIndex) { return false; }
   auto& body = message.emplace<kIndex>();
   archive(body);
@@ -230,19 +232,17 @@ bool decode_alternative(std::size_t type, cereal::PortableBinaryInputArchive& ar
 }
 
 template <std::size_t... kIndices>
-bool decode_any(std::size_t type, cereal::PortableBinaryInputArchive& archive, Message& message,
+bool decode_any(std::size_t type, BoundedInput& archive, Message& message,
                 std::index_sequence<kIndices...>) {
   return (decode_alternative<kIndices>(type, archive, message) || ...);
 }
 
 bool decode_body(std::size_t type, std::span<const std::byte> body, Message& message) {
-  SpanReader reader{body};
-  std::istream stream{&reader};
   try {
-    cereal::PortableBinaryInputArchive archive{stream};
+    BoundedInput archive{body};
     return decode_any(type, archive, message,
                       std::make_index_sequence<std::variant_size_v<Message>>{}) &&
-           reader.bytes_left() == 0;
+           archive.remaining() == 0;
   } catch (const cereal::Exception&) { return false; } catch (const std::bad_alloc&) {
     return false;
   }
@@ -251,13 +251,10 @@ bool decode_body(std::size_t type, std::span<const std::byte> body, Message& mes
 }  // namespace
 
 std::vector<std::byte> encode_frame(const JobKey& job, const Message& message) {
-  std::vector<std::byte> frame(kFrameHeaderBytes);
-  {
-    VectorWriter writer{frame};
-    std::ostream stream{&writer};
-    cereal::PortableBinaryOutputArchive archive{stream};
-    std::visit([&archive](const auto& body) { archive(body); }, message);
-  }
+  BoundedOutput archive;
+  archive.write(std::array<std::byte, kFrameHeaderBytes>{}.data(), kFrameHeaderBytes);
+  std::visit([&archive](const auto& body) { archive(body); }, message);
+  std::vector<std::byte> frame = archive.take();
   const std::span<const std::byte> body = std::span(frame).subspan(kFrameHeaderBytes);
   CHECK(body.size() <= kBodyBytesMax);
   std::byte* header = frame.data();
@@ -293,11 +290,6 @@ tl::expected<Envelope, FrameError> decode_frame(std::span<const std::byte> bytes
     return error(FrameFault::kMalformed);
   }
   return frame;
-}
-
-Hash128 content_hash(std::span<const std::byte> bytes) {
-  const XXH128_hash_t hash = XXH3_128bits(bytes.data(), bytes.size());
-  return {hash.low64, hash.high64};
 }
 
 }  // namespace preheat

@@ -48,7 +48,4 @@ struct FrameError {
 
 [[nodiscard]] tl::expected<Envelope, FrameError> decode_frame(std::span<const std::byte> bytes);
 
-// The name of content on the wire and in the store: XXH3, 128 bits.
-[[nodiscard]] Hash128 content_hash(std::span<const std::byte> bytes);
-
 }  // namespace preheat

@@ -16,6 +16,7 @@
 #include "common/render_settings.h"
 #include "common/result.h"
 #include "common/scene_tables.h"
+#include "common/scene_tables_codec.h"
 #include "common/stats.h"
 
 namespace preheat {
@@ -24,8 +25,6 @@ inline constexpr std::uint16_t kProtocolVersion = 1;
 inline constexpr std::size_t kControlFrameBytesMax = 64 * 1024;
 inline constexpr std::size_t kChunkBytesMax = 256 * 1024;
 inline constexpr std::uint64_t kTablesBytesMax = std::uint64_t{2} << 30;
-inline constexpr std::uint64_t kVoxelBytesMax = std::uint64_t{64} << 20;
-inline constexpr std::uint64_t kVoxelsMax = std::uint64_t{16} << 20;
 inline constexpr std::uint64_t kTilesMax = std::uint64_t{16} << 20;
 inline constexpr std::uint32_t kTileSizeMax = 1024;
 inline constexpr std::uint32_t kImageSideMax = 65536;
@@ -60,12 +59,6 @@ struct Hello {
   double cache_share = 0.0;
   std::uint64_t cache_bytes = 0;
   std::uint32_t process_id = 0;  // for the log
-
-  template <class Archive>
-  void serialize(Archive& archive) {
-    archive(session.low, session.high, build, isa, self_test, threads, cache_kind, cache_share,
-            cache_bytes, process_id);
-  }
 };
 
 // Master -> worker: what to render and where to fetch what it needs.
@@ -80,80 +73,41 @@ struct Welcome {
   Hash128 tables_hash{};
   std::uint64_t plan_bytes = 0;  // hot voxel ids in order, u32 little-endian
   Hash128 plan_hash{};
-
-  template <class Archive>
-  void serialize(Archive& archive) {
-    archive(worker, bulk_port, settings, tile_size, count_accesses, cache_limit_bytes, tables_bytes,
-            tables_hash.low, tables_hash.high, plan_bytes, plan_hash.low, plan_hash.high);
-  }
 };
 
 // Master -> worker: go away. The worker exits with `exit_code`.
 struct Refuse {
   std::uint8_t exit_code = 0;
   BoundedString<1024> text{};
-
-  template <class Archive>
-  void serialize(Archive& archive) {
-    archive(exit_code, text);
-  }
 };
 
 // Master -> worker: I do not know you (any more): say Hello. Your leases are not yours now.
-struct Unknown {
-  template <class Archive>
-  void serialize(Archive&) {}
-};
+struct Unknown {};
 
 // Worker -> master: the hot set is built, tiles can come.
 struct Ready {
   PreloadStats preload{};
-
-  template <class Archive>
-  void serialize(Archive& archive) {
-    archive(preload);
-  }
 };
 
 struct Lease {
   LeaseId id{};
   TileId tile{};
   friend bool operator==(const Lease&, const Lease&) = default;
-
-  template <class Archive>
-  void serialize(Archive& archive) {
-    archive(id, tile);
-  }
 };
 
 // Master -> worker: render these, in this order. A lease that the worker holds already is not news.
 struct Grant {
   BoundedVector<Lease, kLeasesPerWorkerMax> leases{};
-
-  template <class Archive>
-  void serialize(Archive& archive) {
-    archive(leases);
-  }
 };
 
 // Master -> worker: these need not be rendered any more, if not begun.
 struct Cancel {
-  BoundedVector<LeaseId, kLeasesPerWorkerMax> leases{};
-
-  template <class Archive>
-  void serialize(Archive& archive) {
-    archive(leases);
-  }
+  BoundedVector<Lease, kLeasesPerWorkerMax> leases{};
 };
 
 // Master -> worker: the result was taken or is not wanted; forget it.
 struct ResultAck {
   LeaseId lease{};
-
-  template <class Archive>
-  void serialize(Archive& archive) {
-    archive(lease);
-  }
 };
 
 // Worker -> master: alive, and how far. A lease of the master's that is not in `held` got lost on
@@ -161,22 +115,12 @@ struct ResultAck {
 struct WorkerHeartbeat {
   std::uint64_t progress = 0;  // Renderer::progress()
   WorkerStats stats{};
-  BoundedVector<LeaseId, kLeasesPerWorkerMax> held{};  // until acknowledged
-
-  template <class Archive>
-  void serialize(Archive& archive) {
-    archive(progress, stats, held);
-  }
+  BoundedVector<Lease, kLeasesPerWorkerMax> held{};  // until acknowledged
 };
 
 struct MasterHeartbeat {
   std::uint32_t tiles_done = 0;
   std::uint32_t tiles_total = 0;
-
-  template <class Archive>
-  void serialize(Archive& archive) {
-    archive(tiles_done, tiles_total);
-  }
 };
 
 enum class FaultKind : std::uint8_t {
@@ -189,28 +133,15 @@ struct Fault {
   FaultKind kind = FaultKind::kWorkerFailed;
   VoxelId voxel{};
   BoundedString<1024> text{};
-
-  template <class Archive>
-  void serialize(Archive& archive) {
-    archive(kind, voxel, text);
-  }
 };
 
 // Worker -> master: I leave; my leases are yours again and these are my final counts.
 struct Goodbye {
   WorkerStats stats{};
-
-  template <class Archive>
-  void serialize(Archive& archive) {
-    archive(stats);
-  }
 };
 
 // Master -> worker: nothing is left to do. Answered by Goodbye.
-struct JobDone {
-  template <class Archive>
-  void serialize(Archive&) {}
-};
+struct JobDone {};
 
 enum class BulkObject : std::uint8_t { kTables = 0, kPlan = 1, kVoxel = 2 };
 
@@ -221,11 +152,6 @@ struct RangeRequest {
   std::uint64_t offset = 0;
   std::uint32_t bytes = 0;
   friend bool operator==(const RangeRequest&, const RangeRequest&) = default;
-
-  template <class Archive>
-  void serialize(Archive& archive) {
-    archive(object, voxel, offset, bytes);
-  }
 };
 
 // Master -> worker, with the bytes behind it.
@@ -233,11 +159,6 @@ struct RangeReply {
   BulkObject object = BulkObject::kTables;
   VoxelId voxel{};
   std::uint64_t offset = 0;
-
-  template <class Archive>
-  void serialize(Archive& archive) {
-    archive(object, voxel, offset);
-  }
 };
 
 // Worker -> master, with the bytes behind it: a part of a tile's pixels, rgb then variance as float
@@ -248,22 +169,12 @@ struct TileChunk {
   std::uint64_t offset = 0;
   std::uint64_t total_bytes = 0;
   Hash128 hash{};
-
-  template <class Archive>
-  void serialize(Archive& archive) {
-    archive(lease, tile, offset, total_bytes, hash.low, hash.high);
-  }
 };
 
 // Master -> worker: one chunk has arrived; its credit returns.
 struct TileChunkAck {
   LeaseId lease{};
   std::uint64_t offset = 0;
-
-  template <class Archive>
-  void serialize(Archive& archive) {
-    archive(lease, offset);
-  }
 };
 
 using Message = std::variant<Hello, Welcome, Refuse, Unknown, Ready, Grant, Cancel, ResultAck,
