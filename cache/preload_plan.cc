@@ -26,8 +26,7 @@ PreloadPlan plan_preload(const SceneTables& tables, const Prediction& prediction
       cache_limit_bytes > room_for_rest ? cache_limit_bytes - room_for_rest : 0;
   const double share_used = share >= 0.0 ? std::min(share, 1.0) : holds_everything ? 1.0 : 0.5;
   const auto budget = std::min(
-      budget_max,
-      static_cast<std::uint64_t>(share_used * static_cast<double>(cache_limit_bytes)));
+      budget_max, static_cast<std::uint64_t>(share_used * static_cast<double>(cache_limit_bytes)));
   for (const std::uint32_t voxel : order) {
     const std::uint64_t bytes = tables.voxels[voxel].resident_bytes;
     if (rays_per_byte[voxel] <= 0.0) { break; }
