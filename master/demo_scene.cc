@@ -106,6 +106,7 @@ std::uint32_t DemoRoom::light(const std::string& name, const Vec3& radiance) {
   const std::uint32_t index = material(name, Vec3(0.8F), 1.0F);
   scene_.materials[index].emission = radiance;
   scene_.materials[index].specular_color = Vec3(0.0F);
+  scene_.materials[index].double_sided = false;
   return index;
 }
 
@@ -147,10 +148,10 @@ void DemoRoom::define_materials() {
   wicker_ = material("wicker", {0.45F, 0.29F, 0.14F}, 0.6F);
   velvet_ = matte("velvet", {0.055F, 0.17F, 0.16F});
   shade_ = matte("lampshade", {0.80F, 0.70F, 0.52F});
-  bulb_ = light("bulb", {34.0F, 24.0F, 13.0F});
-  flame_ = light("flame", {30.0F, 15.0F, 4.5F});
-  sky_ = light("sky panel", {7.0F, 9.0F, 12.0F});
-  panel_ = light("ceiling panel", {7.0F, 6.2F, 5.0F});
+  bulb_ = light("bulb", {9.0F, 6.2F, 3.3F});
+  flame_ = light("flame", {9.0F, 5.0F, 1.6F});
+  sky_ = light("sky panel", {2.9F, 3.6F, 4.6F});
+  panel_ = light("ceiling panel", {6.6F, 5.7F, 4.5F});
   for (const Vec3& tone : {Vec3(0.33F, 0.19F, 0.09F), Vec3(0.38F, 0.22F, 0.105F),
                            Vec3(0.29F, 0.16F, 0.075F), Vec3(0.43F, 0.26F, 0.13F)}) {
     planks_.push_back(material("plank", tone, 0.28F));
@@ -244,8 +245,9 @@ void DemoRoom::parquet() {
 
 void DemoRoom::window() {
   const Placement room;
-  // The panel stands for the sky; the wall hides its edges.
-  builder_.quad({-0.35, 0.3, 0.7}, {-0.35, 2.9, 0.7}, {-0.35, 2.9, 3.9}, {-0.35, 0.3, 3.9}, sky_);
+  // The panel stands for the sky, right behind the bars, so that no ray looks for it in vain.
+  builder_.quad({-0.14, 0.74, 1.24}, {-0.14, 2.46, 1.24}, {-0.14, 2.46, 3.36}, {-0.14, 0.74, 3.36},
+                sky_);
   for (const double z : {1.25, 1.95, 2.65, 3.35}) {
     builder_.box(room, {-0.09, 0.75, z - 0.03}, {-0.03, 2.45, z + 0.03}, trim_);
   }
@@ -276,12 +278,15 @@ void DemoRoom::curtain(double z_begin, double z_end, double seed) {
 }
 
 void DemoRoom::ceiling_lights() {
-  for (const double x : {1.6, 4.4}) {
-    const double low = kHeight - 0.05;
-    builder_.quad({x - 0.35, low, 3.7}, {x + 0.35, low, 3.7}, {x + 0.35, low, 4.4},
-                  {x - 0.35, low, 4.4}, panel_);
-    builder_.box(Placement{}, {x - 0.38, low + 0.002, 3.67}, {x + 0.38, kHeight - 0.001, 4.43},
-                 trim_);
+  constexpr double kHalf = 0.42;
+  for (const double x : {1.5, 4.3}) {
+    for (const double z : {1.9, 4.3}) {
+      const double low = kHeight - 0.05;
+      builder_.quad({x - kHalf, low, z - kHalf}, {x + kHalf, low, z - kHalf},
+                    {x + kHalf, low, z + kHalf}, {x - kHalf, low, z + kHalf}, panel_);
+      builder_.box(Placement{}, {x - kHalf - 0.03, low + 0.002, z - kHalf - 0.03},
+                   {x + kHalf + 0.03, kHeight - 0.001, z + kHalf + 0.03}, trim_);
+    }
   }
 }
 
@@ -711,7 +716,7 @@ void DemoRoom::pendant() {
     inside.push_back({std::max(0.0, point->radius - 0.003), point->height - 0.003});
   }
   builder_.lathe(inside, builder_.fine(96), placed_at({top.x, y, top.z}), brass_);
-  builder_.sphere({top.x, y + 0.06, top.z}, 0.055, 16, bulb_);
+  builder_.sphere({top.x, y + 0.07, top.z}, 0.09, 16, bulb_);
 }
 
 void DemoRoom::armchair(const Vec3d& origin, double turns) {
@@ -746,7 +751,7 @@ void DemoRoom::floor_lamp(const Vec3d& foot) {
   builder_.tube(pole, 0.010, 0.010, builder_.fine(20), brass_);
   const Profile shade = {{0.235, 1.36}, {0.22, 1.46}, {0.19, 1.60}, {0.165, 1.70}};
   builder_.lathe(shade, builder_.fine(96), placed_at(foot), shade_);
-  builder_.sphere(foot + Vec3d(0, 1.53, 0), 0.05, 16, bulb_);
+  builder_.sphere(foot + Vec3d(0, 1.52, 0), 0.08, 16, bulb_);
 }
 
 void DemoRoom::side_table(const Vec3d& foot) {
@@ -945,9 +950,9 @@ void DemoRoom::furnish() {
   chair(kTable + Vec3d(-0.98, 0, 0.10), -0.26);
   chair(kTable + Vec3d(0.05, 0, -0.95), 0.49);
   chair(kTable + Vec3d(1.05, 0, -0.15), 0.29);
-  armchair({4.75, 0.0, 1.05}, -0.09);
-  floor_lamp({5.55, 0.0, 0.62});
-  side_table({3.98, 0.0, 0.55});
+  armchair({4.45, 0.0, 1.0}, -0.06);
+  floor_lamp({5.18, 0.0, 0.55});
+  side_table({3.80, 0.0, 0.50});
   pot({0.48, 0.0, 0.52}, 0.19, 0.34, terracotta_);
   leafy_plant({0.48, 0.30, 0.52}, 1.75, many(1900), 5);
   pot({0.52, 0.0, 3.75}, 0.16, 0.28, ceramic_);
@@ -956,26 +961,37 @@ void DemoRoom::furnish() {
   fern({0.06, 0.845, 1.75}, 14, 3);
   pot({0.06, 0.745, 2.85}, 0.06, 0.10, terracotta_);
   fern({0.06, 0.845, 2.85}, 14, 4);
-  basket({4.35, 0.0, 2.35});
+  basket({4.55, 0.0, 2.1});
   rug();
 }
 
-PunctualLight evening_sun() {
+// A far lamp whose cone just fills the window behind the camera. A directional light would look the
+// same but would be sampled from everywhere in the room.
+PunctualLight evening_sun(const Frame& frame) {
+  const Vec3d window(4.7, 1.65, kDepth);
+  const Vec3d direction = glm::normalize(Vec3d(-0.52, -0.22, -1.0));
+  constexpr double kDistance = 10.0;
+  constexpr double kRadius = 1.3;
+  const double scale = std::ldexp(1.0, frame.scale_exponent);
+  const double slant = std::sqrt(kDistance * kDistance + kRadius * kRadius);
   PunctualLight sun;
-  sun.kind = PunctualLightKind::kDirectional;
-  sun.direction = Vec3(glm::normalize(Vec3d(-0.52, -0.22, -1.0)));
-  sun.intensity = Vec3(16.0F, 10.5F, 5.6F);
+  sun.kind = PunctualLightKind::kSpot;
+  sun.position = Vec3(scene_from_file(frame, window - direction * kDistance));
+  sun.direction = Vec3(direction);
+  sun.intensity = Vec3(Vec3d(8.5, 5.4, 2.7) * (kDistance * kDistance * scale * scale));
+  sun.cos_outer = static_cast<float>(kDistance / slant);
+  sun.cos_inner = sun.cos_outer + 1e-3F;
   return sun;
 }
 
 Camera standing_camera() {
   Camera camera;
   camera.name = "standing";
-  camera.position_file = Vec3d(4.85, 1.58, 5.05);
-  camera.forward = glm::normalize(Vec3d(2.62, 0.98, 1.5) - camera.position_file);
+  camera.position_file = Vec3d(4.95, 1.6, 5.3);
+  camera.forward = glm::normalize(Vec3d(2.80, 1.0, 1.5) - camera.position_file);
   camera.right = glm::normalize(glm::cross(camera.forward, Vec3d(0.0, 1.0, 0.0)));
   camera.up = glm::cross(camera.right, camera.forward);
-  camera.vertical_fov_rad = 0.80;
+  camera.vertical_fov_rad = 0.82;
   return camera;
 }
 
@@ -997,7 +1013,7 @@ Scene make_demo_scene(std::uint64_t triangles_target) {
   scene.frame.centre = Vec3d(0.5 * kWidth, 0.5 * kHeight, 0.5 * kDepth);
   scene.frame.scale_exponent = -2;  // a half of 4 m becomes 1
   DemoRoom(scene, triangles_target).furnish();
-  scene.lights.push_back(evening_sun());
+  scene.lights.push_back(evening_sun(scene.frame));
   scene.cameras = {standing_camera(), table_camera()};
   scene.import.triangles_declared = scene.triangles.size();
   return scene;
