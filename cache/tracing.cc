@@ -66,12 +66,63 @@ struct QueryContext : RayContext {
   const Residency::Impl* residency = nullptr;
   RayQuery* query = nullptr;
   std::uint64_t stamp = 0;
+  unsigned parallel_axes = 0;  // bit i: the ray runs (almost) parallel to the faces of axis i
   // The best hit's place, while its mesh is pinned by the guard.
   const Geometry* geometry = nullptr;
   std::uint32_t primitive = 0;
   float u = 0.0F;
   float v = 0.0F;
 };
+
+Vec3 vertex_at(const MeshArrays& arrays, std::uint32_t primitive, unsigned corner) {
+  const std::size_t vertex = arrays.indices[std::size_t{primitive} * 3 + corner];
+  return {arrays.positions[vertex * 3], arrays.positions[vertex * 3 + 1],
+          arrays.positions[vertex * 3 + 2]};
+}
+
+// Below this a direction's component is taken as parallel: over a scene's length such a ray leaves
+// a face by less than the rounding of a coordinate.
+constexpr float kParallelComponent = 9.5367431640625e-07F;
+
+unsigned parallel_axes(const Vec3& direction) {
+  unsigned axes = 0;
+  for (int axis = 0; axis < 3; ++axis) {
+    axes |= std::abs(direction[axis]) < kParallelComponent ? 1U << axis : 0U;
+  }
+  return axes;
+}
+
+// A ray that lies exactly in the far face of a box leaves it at t = 0 by Embree's slab test, and a
+// hit of a triangle that touches this face is then found or not as the layout has it. So a hit
+// counts only if the slab test of the triangle's own box admits it on the parallel axes: every box
+// around the triangle then admits it too, as the test is monotone in the box.
+bool own_box_admits(const QueryContext& context, const MeshArrays& arrays, std::uint32_t primitive,
+                    float t) {
+  constexpr float kReciprocalMax = 1e18F;  // Embree's bound on 1 / 0
+  const Vec3 a = vertex_at(arrays, primitive, 0);
+  const Vec3 b = vertex_at(arrays, primitive, 1);
+  const Vec3 c = vertex_at(arrays, primitive, 2);
+  for (int axis = 0; axis < 3; ++axis) {
+    if ((context.parallel_axes >> axis & 1U) == 0) { continue; }
+    const float direction = context.query->ray.direction[axis];
+    const float reciprocal = std::min(1.0F / std::abs(direction), kReciprocalMax) *
+                             (std::signbit(direction) ? -1.0F : 1.0F);
+    const float origin = context.query->ray.origin[axis];
+    const float t_low = (std::min({a[axis], b[axis], c[axis]}) - origin) * reciprocal;
+    const float t_high = (std::max({a[axis], b[axis], c[axis]}) - origin) * reciprocal;
+    if (!(std::min(t_low, t_high) <= t && t <= std::max(t_low, t_high))) { return false; }
+  }
+  return true;
+}
+
+void refuse_ambiguous_blocker(const RTCFilterFunctionNArguments* arguments) {
+  const auto& context = *static_cast<const QueryContext*>(arguments->context);
+  if (context.parallel_axes == 0) { return; }
+  const auto* geometry = static_cast<const Geometry*>(arguments->geometryUserPtr);
+  const auto& ray = *reinterpret_cast<const RTCRay*>(arguments->ray);
+  const auto& hit = *reinterpret_cast<const RTCHit*>(arguments->hit);
+  if (!own_box_admits(context, geometry->arrays, hit.primID, ray.tfar)) { arguments->valid[0] = 0; }
+}
 
 void keep_lowest_hit(const RTCFilterFunctionNArguments* arguments) {
   auto& context = *static_cast<QueryContext*>(arguments->context);
@@ -80,6 +131,10 @@ void keep_lowest_hit(const RTCFilterFunctionNArguments* arguments) {
   auto& ray = *reinterpret_cast<RTCRay*>(arguments->ray);
   const auto& hit = *reinterpret_cast<const RTCHit*>(arguments->hit);
   const float t = ray.tfar;
+  if (context.parallel_axes != 0 && !own_box_admits(context, geometry->arrays, hit.primID, t)) {
+    arguments->valid[0] = 0;
+    return;
+  }
   const std::uint32_t triangle = geometry->arrays.triangles[hit.primID];
   if (t < query.t_best || (t == query.t_best && triangle < query.triangle_best)) {
     query.t_best = t;
@@ -92,7 +147,6 @@ void keep_lowest_hit(const RTCFilterFunctionNArguments* arguments) {
   ray.tfar = std::min(widened(query.t_best), query.ray.t_max);
 }
 
-// The intersection filter rejects nothing; any-hit queries need none.
 RTCGeometry new_triangle_geometry(RTCDevice device, const Geometry& geometry) {
   const MeshArrays& arrays = geometry.arrays;
   RTCGeometry embree = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
@@ -104,6 +158,7 @@ RTCGeometry new_triangle_geometry(RTCDevice device, const Geometry& geometry) {
                              arrays.triangles.size());
   rtcSetGeometryUserData(embree, const_cast<Geometry*>(&geometry));
   rtcSetGeometryIntersectFilterFunction(embree, keep_lowest_hit);
+  rtcSetGeometryOccludedFilterFunction(embree, refuse_ambiguous_blocker);
   rtcSetGeometryMask(embree, 0xFFFFFFFFU);
   rtcCommitGeometry(embree);
   return embree;
@@ -146,12 +201,6 @@ void pop_missing(RayQuery& query) {
   std::copy(query.missing.begin() + 1, query.missing.begin() + query.missing_count,
             query.missing.begin());
   --query.missing_count;
-}
-
-Vec3 vertex_at(const MeshArrays& arrays, std::uint32_t primitive, unsigned corner) {
-  const std::size_t vertex = arrays.indices[std::size_t{primitive} * 3 + corner];
-  return {arrays.positions[vertex * 3], arrays.positions[vertex * 3 + 1],
-          arrays.positions[vertex * 3 + 2]};
 }
 
 Vec3 shading_normal(const MeshArrays& arrays, std::uint32_t primitive,
@@ -397,6 +446,7 @@ QueryContext make_context(const Residency::Impl& residency, RayQuery& query) {
   context.residency = &residency;
   context.query = &query;
   context.stamp = residency.resident->stamp();
+  context.parallel_axes = parallel_axes(query.ray.direction);
   return context;
 }
 

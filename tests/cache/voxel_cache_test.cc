@@ -130,7 +130,7 @@ TEST_P(VoxelCacheUnderRandomDemand, ServesEveryRayWithinTheLimit) {
   std::mt19937 random(seed);
   auto voxels = make_voxels(24);
   for (VoxelEntry& voxel : voxels) {
-    voxel.block_bytes = 20 + random() % 21;
+    voxel.block_bytes = static_cast<std::uint32_t>(20 + random() % 21);
     voxel.resident_bytes = voxel.block_bytes + 30 + random() % 71;
   }
   std::vector<std::uint64_t> used(voxels.size());
