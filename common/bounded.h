@@ -130,15 +130,18 @@ void CEREAL_LOAD_FUNCTION_NAME(BoundedInput& input, EnumUpTo<E>& tagged) {
   tagged.value = static_cast<E>(number);
 }
 
-// A container with the most elements that it may have. Writing more is a bug of ours.
+// A container with the most elements that it may have; for a list of strings also the most bytes of
+// each. Writing more is a bug of ours.
 template <class Container>
 struct AtMost {
   Container& container;
   std::size_t count_max;
+  std::size_t string_bytes_max = 0;
 };
 template <class Container>
-[[nodiscard]] AtMost<Container> at_most(Container& container, std::size_t count_max) {
-  return {container, count_max};
+[[nodiscard]] AtMost<Container> at_most(Container& container, std::size_t count_max,
+                                        std::size_t string_bytes_max = 0) {
+  return {container, count_max, string_bytes_max};
 }
 
 namespace bounded_detail {
@@ -155,7 +158,13 @@ void CEREAL_SAVE_FUNCTION_NAME(BoundedOutput& output, const AtMost<Container>& t
   if constexpr (bounded_detail::kIsFlat<Container>) {
     output.write(container.data(), container.size() * sizeof(typename Container::value_type));
   } else {
-    for (const auto& element : container) { output(element); }
+    for (const auto& element : container) {
+      if constexpr (std::is_same_v<typename Container::value_type, std::string>) {
+        output(at_most(element, tagged.string_bytes_max));
+      } else {
+        output(element);
+      }
+    }
   }
 }
 
@@ -184,7 +193,13 @@ void CEREAL_LOAD_FUNCTION_NAME(BoundedInput& input, AtMost<Container>& tagged) {
     }
   } else {
     // Grows as elements arrive, so memory follows the bytes that were really there.
-    for (std::uint64_t i = 0; i < count; ++i) { input(container.emplace_back()); }
+    for (std::uint64_t i = 0; i < count; ++i) {
+      if constexpr (std::is_same_v<Element, std::string>) {
+        input(at_most(container.emplace_back(), tagged.string_bytes_max));
+      } else {
+        input(container.emplace_back());
+      }
+    }
   }
 }
 

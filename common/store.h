@@ -1,9 +1,10 @@
-// The compiled scene on disk: header, section table, scene tables, cameras, proxy, voxel blocks.
+// The compiled scene on disk: header with section table, voxel blocks, facts, scene tables,
+// cameras, proxy. The exact layout is in store_format.h, the writer in store_writer.h.
 //
 // Written once to a temporary name, synced and renamed. Read by mapping: opening checks magic,
-// version, every section's place and the tables' hashes, never the blocks, which each carry a hash of
-// their own in the directory and are checked by whoever receives them. Little-endian.
-// Threads: a Store is immutable; any thread may read it.
+// version, every section's place and the tables' hashes, never the blocks, which each carry a hash
+// of their own in the directory and are checked by whoever receives them. Little-endian. Threads: a
+// Store is immutable; any thread may read it.
 #pragma once
 
 #include <cstddef>
@@ -12,6 +13,7 @@
 #include <memory>
 #include <span>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "common/proxy.h"
@@ -31,7 +33,7 @@ struct StoreInfo {
   std::uint64_t voxel_size_bytes = 0;  // the limit that voxels were cut to
   // [P] Table 1 and section 2, over the fine octree.
   std::uint64_t voxels_internal = 0;
-  std::uint64_t voxels_leaf = 0;   // non-empty leaves
+  std::uint64_t voxels_leaf = 0;  // non-empty leaves
   std::uint64_t voxels_empty = 0;
   std::uint32_t level_min = 0;
   std::uint32_t level_max = 0;
@@ -39,12 +41,12 @@ struct StoreInfo {
   double blocking_mean = 0.0;     // p-bar
   double objects_per_leaf = 0.0;  // m-bar
   double traversal_cost = 0.0;    // C_t
-  double compile_seconds = 0.0;   // not part of any hash
 };
 
 class Store {
  public:
-  // Missing, truncated, foreign, damaged or of another version: kStoreDamaged, with file and offset.
+  // Missing, truncated, foreign, damaged or of another version: kStoreDamaged, with file and
+  // offset.
   [[nodiscard]] static Result<Store> open(const std::filesystem::path& file);
 
   [[nodiscard]] const SceneTables& tables() const;
@@ -56,8 +58,12 @@ class Store {
   [[nodiscard]] std::span<const std::byte> tables_bytes() const;
   // A voxel's block in the mapping, 16-byte aligned. Not verified here.
   [[nodiscard]] std::span<const std::byte> block(VoxelId voxel) const;
+  // False if the block is not what the directory says: the disk or the file has failed.
+  [[nodiscard]] bool block_is_intact(VoxelId voxel) const;
   [[nodiscard]] std::uint64_t proxy_bytes() const;
   [[nodiscard]] std::uint64_t file_bytes() const;
+  // Bytes of each section, named, in file order; they and the padding between make up the file.
+  [[nodiscard]] std::vector<std::pair<std::string, std::uint64_t>> section_bytes() const;
   // Of everything that the image depends on: tables and block hashes.
   [[nodiscard]] Hash128 scene_hash() const;
 

@@ -34,6 +34,14 @@ struct VoxelBlockView {
 [[nodiscard]] std::size_t voxel_block_bytes(std::size_t vertex_count, std::size_t triangle_count,
                                             bool has_normals);
 
+// Never less than what Embree holds for a voxel's BVH (robust, medium quality), in steps of its own
+// allocator. Of 34,000 subtrees of real scenes and hostile soups, 1 to 200,000 triangles, on avx2
+// and sse4.2 and with 1 and 2 build threads, Embree 3.13 took at most 91 % of it; about 66 bytes a
+// triangle are usual.
+[[nodiscard]] constexpr std::uint64_t bvh_bytes_bound(std::uint64_t triangle_count) {
+  return 4096 + 96 * triangle_count;
+}
+
 // The block of the given triangles of the scene. `triangle_ids` strictly increasing.
 [[nodiscard]] std::vector<std::byte> encode_voxel_block(
     const Scene& scene, std::span<const std::uint32_t> triangle_ids);

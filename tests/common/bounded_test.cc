@@ -113,6 +113,21 @@ TEST(Bounded, RefusesTruthValuesAndEnumsOutOfRange) {
   EXPECT_FALSE(decode_outer(with_bytes(kColourAt, std::uint8_t{2})));
 }
 
+TEST(Bounded, LimitsEveryStringOfAList) {
+  std::vector<std::string> names{"a", "bcd", ""};
+  BoundedOutput output;
+  output(at_most(names, 3, 3));
+  const std::vector<std::byte> bytes = output.take();
+
+  std::vector<std::string> decoded;
+  BoundedInput input(bytes);
+  input(at_most(decoded, 3, 3));
+  EXPECT_EQ(decoded, names);
+
+  BoundedInput again(bytes);
+  EXPECT_THROW(again(at_most(decoded, 3, 2)), cereal::Exception);
+}
+
 TEST(BoundedDeathTest, WritingMoreThanTheLimitIsABug) {
   Outer outer = example();
   outer.floats.resize(5);
