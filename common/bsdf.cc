@@ -82,26 +82,29 @@ float coat_albedo(const PreparedMaterial& material, const MicrofacetAlbedo& albe
   return material.coat_r0 * (albedo.total - albedo.grazing) + material.coat_r90 * albedo.grazing;
 }
 
-// What `facets` reflect of light from `out`, by stratified integration; half a turn of azimuths is
-// enough by symmetry.
+// What facets reflect of light from `out`. Half a turn of azimuths is enough by symmetry; the polar
+// strata crowd where facets are steep, as all that a smooth surface loses is lost there.
 MicrofacetAlbedo integrate_albedo(float cos_normal, float alpha) {
-  constexpr int kStrata = 32;
+  constexpr int kAzimuths = 32;
+  constexpr int kPolars = 32;
   const Vec3 out(std::sqrt(std::max(0.0F, 1.0F - cos_normal * cos_normal)), 0.0F, cos_normal);
   const float lambda_out = ggx_lambda(out, alpha);
   double total = 0.0;
   double grazing = 0.0;
-  for (int i = 0; i < kStrata * kStrata; ++i) {
-    const float u = (static_cast<float>(i % kStrata) + 0.5F) / (2.0F * kStrata);
-    const float v = (static_cast<float>(i / kStrata) + 0.5F) / kStrata;
-    const Vec3 facet = sample_visible_facet(out, alpha, u, v);
+  for (int i = 0; i < kAzimuths * kPolars; ++i) {
+    const float u = (static_cast<float>(i % kAzimuths) + 0.5F) / (2.0F * kAzimuths);
+    const float low = static_cast<float>(i / kAzimuths) / kPolars;
+    const float high = static_cast<float>(i / kAzimuths + 1) / kPolars;
+    const float steep = 0.5F * (low + high);
+    const float stratum = (high * square(high) - low * square(low)) / kAzimuths;
+    const Vec3 facet = sample_visible_facet(out, alpha, u, 1.0F - steep * square(steep));
     const Vec3 in = reflect(out, facet);
     if (!(in.z > 0.0F)) { continue; }
-    const float weight = (1.0F + lambda_out) / (1.0F + lambda_out + ggx_lambda(in, alpha));
-    total += static_cast<double>(weight);
-    grazing += static_cast<double>(weight * schlick_weight(glm::dot(out, facet)));
+    const float seen = (1.0F + lambda_out) / (1.0F + lambda_out + ggx_lambda(in, alpha));
+    total += static_cast<double>(stratum * seen);
+    grazing += static_cast<double>(stratum * seen * schlick_weight(glm::dot(out, facet)));
   }
-  constexpr double kCount = kStrata * kStrata;
-  return {static_cast<float>(total / kCount), static_cast<float>(grazing / kCount)};
+  return {static_cast<float>(std::min(1.0, total)), static_cast<float>(grazing)};
 }
 
 }  // namespace
