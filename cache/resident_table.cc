@@ -9,12 +9,12 @@ namespace preheat {
 ResidentTable::ResidentTable(std::size_t voxel_count, unsigned tracer_count)
     : meshes_(voxel_count), last_used_(voxel_count), announcements_(tracer_count) {}
 
-// Sequential consistency orders "announce, then read the pointer" here against "clear the pointer,
-// then read the announcements" in withdraw and is_quiescent: one of the two sees the other.
+// Sequential consistency of all four accesses orders "announce, then read the pointer" here against
+// "clear the pointer, then read the announcements" in withdraw and is_quiescent: one of the two
+// sees the other.
 ResidentTable::Guard::Guard(ResidentTable& table, unsigned tracer)
     : announced_(table.announcements_[tracer].epoch) {
   announced_.store(table.epoch_.load(std::memory_order_seq_cst), std::memory_order_seq_cst);
-  std::atomic_thread_fence(std::memory_order_seq_cst);
 }
 
 ResidentTable::Guard::~Guard() { announced_.store(kIdle, std::memory_order_release); }
@@ -27,7 +27,6 @@ void ResidentTable::publish(VoxelId voxel, const VoxelMesh* mesh) {
 
 std::uint64_t ResidentTable::withdraw(VoxelId voxel) {
   meshes_[index_of(voxel)].store(nullptr, std::memory_order_seq_cst);
-  std::atomic_thread_fence(std::memory_order_seq_cst);
   return epoch_.fetch_add(1, std::memory_order_seq_cst);
 }
 

@@ -37,7 +37,7 @@ class ResidentTable {
 
   // nullptr where absent. Requires: a live Guard of the calling thread.
   [[nodiscard]] const VoxelMesh* lookup(VoxelId voxel) const {
-    return meshes_[index_of(voxel)].load(std::memory_order_acquire);
+    return meshes_[index_of(voxel)].load(std::memory_order_seq_cst);
   }
 
   void publish(VoxelId voxel, const VoxelMesh* mesh);
