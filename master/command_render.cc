@@ -12,6 +12,7 @@
 
 #include "cache/prediction.h"
 #include "cache/renderer.h"
+#include "common/content_hash.h"
 #include "master/commands.h"
 #include "master/file_output.h"
 #include "master/image_writer.h"
@@ -129,10 +130,9 @@ Result<Prediction> predict_for(const RenderOptions& options, const Store& store,
 
 ImageMetadata metadata_of(const RenderRecord& record) {
   const RenderSettings& settings = record.view->settings;
-  const Hash128 scene = record.store->scene_hash();
   return {{"preheat.version", PREHEAT_VERSION},
           {"preheat.scene", record.store->info().source_file},
-          {"preheat.scene_hash", fmt::format("{:016x}{:016x}", scene.high, scene.low)},
+          {"preheat.scene_hash", to_string(record.store->scene_hash())},
           {"preheat.camera", record.view->camera_source},
           {"preheat.spp", fmt::format("{}", settings.spp)},
           {"preheat.bounces", fmt::format("{}", settings.bounces)},
