@@ -27,9 +27,7 @@ struct Prediction {
   [[nodiscard]] double rays(std::size_t voxel) const {
     return rays_camera[voxel] + rays_scatter[voxel] + rays_shadow[voxel];
   }
-  [[nodiscard]] double rays_total() const {
-    return camera_total + scatter_total + shadow_total;
-  }
+  [[nodiscard]] double rays_total() const { return camera_total + scatter_total + shadow_total; }
 };
 
 struct PredictionInput {

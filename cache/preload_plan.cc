@@ -4,36 +4,79 @@
 #include <numeric>
 
 namespace preheat {
+namespace {
+
+// Half of a cache that does not hold the scene is left to what rays ask for: raw blocks, of which
+// a byte holds several times more triangles than of built ones.
+constexpr double kShareAuto = 0.5;
+
+std::uint64_t share_of(std::uint64_t bytes, double share) {
+  if (share >= 1.0) { return bytes; }
+  return static_cast<std::uint64_t>(share * static_cast<double>(bytes));
+}
+
+// The largest voxel that is not hot, as voxels become so one by one.
+class LargestCold {
+ public:
+  explicit LargestCold(const std::vector<VoxelEntry>& voxels)
+      : voxels_(voxels), is_hot_(voxels.size(), false), by_size_(voxels.size()) {
+    std::iota(by_size_.begin(), by_size_.end(), 0U);
+    std::sort(by_size_.begin(), by_size_.end(), [&](std::uint32_t a, std::uint32_t b) {
+      return voxels[a].resident_bytes > voxels[b].resident_bytes;
+    });
+  }
+
+  void make_hot(std::uint32_t voxel) {
+    is_hot_[voxel] = true;
+    while (largest_ < by_size_.size() && is_hot_[by_size_[largest_]]) { ++largest_; }
+  }
+
+  // Bytes of the largest, were `voxel` hot as well; 0 if nothing else is cold.
+  [[nodiscard]] std::uint64_t bytes_without(std::uint32_t voxel) const {
+    for (std::size_t at = largest_; at < by_size_.size(); ++at) {
+      const std::uint32_t candidate = by_size_[at];
+      if (candidate != voxel && !is_hot_[candidate]) { return voxels_[candidate].resident_bytes; }
+    }
+    return 0;
+  }
+
+ private:
+  const std::vector<VoxelEntry>& voxels_;
+  std::vector<bool> is_hot_;
+  std::vector<std::uint32_t> by_size_;
+  std::size_t largest_ = 0;  // into by_size_
+};
+
+}  // namespace
 
 PreloadPlan plan_preload(const SceneTables& tables, const Prediction& prediction,
                          std::uint64_t cache_limit_bytes, double share) {
   const std::size_t voxel_count = tables.voxels.size();
-  std::vector<std::uint32_t> order(voxel_count);
-  std::iota(order.begin(), order.end(), 0U);
   std::vector<double> rays_per_byte(voxel_count, 0.0);
   for (std::size_t voxel = 0; voxel < voxel_count; ++voxel) {
-    rays_per_byte[voxel] =
-        prediction.rays(voxel) / static_cast<double>(tables.voxels[voxel].resident_bytes);
+    const auto bytes = std::max<std::uint64_t>(1, tables.voxels[voxel].resident_bytes);
+    rays_per_byte[voxel] = prediction.rays(voxel) / static_cast<double>(bytes);
   }
+  std::vector<std::uint32_t> order(voxel_count);
+  std::iota(order.begin(), order.end(), 0U);
   std::stable_sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) {
     return rays_per_byte[a] > rays_per_byte[b];
   });
 
-  PreloadPlan plan;
   const bool holds_everything = cache_limit_bytes >= tables.resident_bytes();
-  const std::uint64_t room_for_rest = holds_everything ? 0 : tables.resident_bytes_min();
-  const std::uint64_t budget_max =
-      cache_limit_bytes > room_for_rest ? cache_limit_bytes - room_for_rest : 0;
-  const double share_used = share >= 0.0 ? std::min(share, 1.0) : holds_everything ? 1.0 : 0.5;
-  const auto budget = std::min(
-      budget_max,
-      static_cast<std::uint64_t>(share_used * static_cast<double>(cache_limit_bytes)));
+  const double share_auto = holds_everything ? 1.0 : kShareAuto;
+  const std::uint64_t budget = share_of(cache_limit_bytes, share < 0.0 ? share_auto : share);
+  LargestCold largest_cold(tables.voxels);
+  PreloadPlan plan;
   for (const std::uint32_t voxel : order) {
+    if (!(rays_per_byte[voxel] > 0.0)) { break; }
     const std::uint64_t bytes = tables.voxels[voxel].resident_bytes;
-    if (rays_per_byte[voxel] <= 0.0) { break; }
-    if (plan.hot_bytes + bytes > budget) { continue; }
+    if (bytes > budget - plan.hot_bytes) { continue; }
+    const std::uint64_t room_left = cache_limit_bytes - plan.hot_bytes - bytes;
+    if (largest_cold.bytes_without(voxel) > room_left) { continue; }
     plan.hot.push_back(VoxelId{voxel});
     plan.hot_bytes += bytes;
+    largest_cold.make_hot(voxel);
   }
   return plan;
 }

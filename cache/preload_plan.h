@@ -1,4 +1,5 @@
-// Expected rays and a byte budget -> the hot set: which voxels a worker holds before its first tile.
+// Expected rays and a byte budget -> the hot set: which voxels a worker holds before its first
+// tile.
 //
 // Pure and deterministic: ties go to the lower voxel id.
 #pragma once

@@ -36,8 +36,8 @@ struct RendererOptions {
   std::size_t paths_per_thread = 65536;  // in flight
 };
 
-// The bytes of one voxel, 16-byte aligned, already checked against its hash. For `--local` they point
-// into the mapped store; from the network `owner` keeps them alive.
+// The bytes of one voxel, 16-byte aligned, already checked against its hash. For `--local` they
+// point into the mapped store; from the network `owner` keeps them alive.
 struct VoxelBytes {
   std::span<const std::byte> bytes{};
   std::shared_ptr<const void> owner{};
@@ -47,8 +47,8 @@ struct VoxelBytes {
 struct HotSetReady {
   PreloadStats preload{};
 };
-// Rays wait for a voxel that is not held. Said once; the owner fetches it and calls deliver, or says it
-// again later itself. Sent only while the cache has promised room for the block.
+// Rays wait for a voxel that is not held. Said once; the owner fetches it and calls deliver, or
+// says it again later itself. Sent only while the cache has promised room for the block.
 struct VoxelNeeded {
   VoxelId voxel{};
 };
@@ -74,8 +74,8 @@ class Renderer {
   // (which here is preload, not a remote fetch). An empty list is allowed.
   void set_hot_voxels(std::vector<VoxelId> voxels);
 
-  // A voxel's bytes have arrived, asked for or not. Bytes nobody wants any more are dropped. An error
-  // if the block is malformed: then the voxel counts as never delivered.
+  // A voxel's bytes have arrived, asked for or not. Bytes nobody wants any more are dropped. An
+  // error if the block is malformed: then the voxel counts as never delivered.
   [[nodiscard]] Result<void> deliver(VoxelId voxel, VoxelBytes bytes);
 
   // Tiles are rendered in the order given. Keep about two per thread queued.
@@ -101,7 +101,8 @@ class Renderer {
   std::unique_ptr<Impl> impl_;
 };
 
-// The instruction set and flags that the bits of a hit depend on, e.g. "avx2"; part of the handshake.
+// The instruction set and flags that the bits of a hit depend on, e.g. "avx2"; part of the
+// handshake.
 [[nodiscard]] const char* tracing_isa();
 
 }  // namespace preheat

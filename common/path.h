@@ -10,9 +10,13 @@
 #pragma once
 
 #include <cstdint>
+#include <vector>
 
+#include "common/bsdf.h"
+#include "common/lights.h"
 #include "common/ray.h"
 #include "common/render_settings.h"
+#include "common/rng.h"
 #include "common/scene_tables.h"
 #include "common/vec3.h"
 
@@ -30,12 +34,15 @@ struct SurfaceHit {
 };
 
 struct PathState {
-  std::uint32_t pixel = 0;   // y * width + x
+  std::uint32_t pixel = 0;  // y * width + x
   std::uint32_t sample = 0;
   std::uint32_t bounce = 0;  // scattering events so far
   // Solid-angle density [1/sr] with which the current ray's direction was sampled; 0 where light
   // sampling could not have found it (camera rays, mirrors), so that its emission counts in full.
   float pdf_solid_angle = 0.0F;
+  // The environment's share under multiple importance sampling, should the current ray meet
+  // nothing.
+  float sky_weight = 1.0F;
   Vec3 throughput{1.0F};
   Vec3 radiance{0.0F};
 };
@@ -66,7 +73,13 @@ class Shading {
                                        PathState& path) const;
 
  private:
-  // (owned by the implementer of path.cc)
+  void add_emission(const SurfaceHit& hit, const PreparedMaterial& material, float cos_geometric,
+                    PathState& path) const;
+
+  RenderSettings settings_;
+  std::vector<PreparedMaterial> materials_;
+  Lights lights_;
+  Rng rng_;
 };
 
 }  // namespace preheat

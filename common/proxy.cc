@@ -1,19 +1,903 @@
 #include "common/proxy.h"
 
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <cstring>
+#include <string>
+#include <type_traits>
+#include <unordered_map>
+#include <utility>
+
+#include "common/check.h"
+#include "common/voxel_block.h"
+
 namespace preheat {
+namespace {
+
+static_assert(std::endian::native == std::endian::little);
+
+// ---- pieces: convex polygons clipped to a cell ----
+
+constexpr std::size_t kPieceVerticesMax = 9;  // a triangle cut by the six faces of a cell
+
+struct Piece {
+  std::uint32_t material = 0;
+  std::uint32_t count = 0;
+  std::array<Vec3, kPieceVerticesMax> vertices{};
+
+  void add(const Vec3& vertex) {
+    if (count < kPieceVerticesMax) { vertices[count++] = vertex; }
+  }
+};
+
+// Twice the area times the unit normal.
+Vec3 area_vector(const Piece& piece) {
+  Vec3 sum(0.0F);
+  for (std::uint32_t i = 2; i < piece.count; ++i) {
+    sum += glm::cross(piece.vertices[i - 1] - piece.vertices[0],
+                      piece.vertices[i] - piece.vertices[0]);
+  }
+  return sum;
+}
+
+// Both parts of a piece beside the plane x[axis] = at. A piece in the plane is wholly below.
+void split_piece(const Piece& piece, int axis, float at, Piece& below, Piece& above) {
+  below = {piece.material, 0, {}};
+  above = {piece.material, 0, {}};
+  bool has_below = false;
+  bool has_above = false;
+  for (std::uint32_t i = 0; i < piece.count; ++i) {
+    has_below |= piece.vertices[i][axis] < at;
+    has_above |= piece.vertices[i][axis] > at;
+  }
+  if (!has_above) {
+    below = piece;
+    return;
+  }
+  if (!has_below) {
+    above = piece;
+    return;
+  }
+  for (std::uint32_t i = 0; i < piece.count; ++i) {
+    const Vec3& from = piece.vertices[i];
+    const Vec3& to = piece.vertices[i + 1 == piece.count ? 0 : i + 1];
+    if (from[axis] <= at) { below.add(from); }
+    if (from[axis] >= at) { above.add(from); }
+    if ((from[axis] < at && to[axis] > at) || (from[axis] > at && to[axis] < at)) {
+      // From the lower end, so that neighbours which share the edge cut it at the same point.
+      const Vec3& low = from[axis] < to[axis] ? from : to;
+      const Vec3& high = from[axis] < to[axis] ? to : from;
+      Vec3 cut = low + (high - low) * ((at - low[axis]) / (high[axis] - low[axis]));
+      cut[axis] = at;
+      below.add(cut);
+      above.add(cut);
+    }
+  }
+}
+
+float lowest(const Piece& piece, int axis) {
+  float low = kInfinity;
+  for (std::uint32_t i = 0; i < piece.count; ++i) { low = std::min(low, piece.vertices[i][axis]); }
+  return low;
+}
+
+std::vector<Piece> pieces_in_cell(const Scene& scene, std::span<const std::uint32_t> triangles,
+                                  const Aabb& cell) {
+  std::vector<Piece> pieces;
+  pieces.reserve(triangles.size());
+  for (const std::uint32_t id : triangles) {
+    const Triangle& triangle = scene.triangles[id];
+    Piece piece{triangle.material, 0, {}};
+    for (const std::uint32_t vertex : triangle.vertices) { piece.add(scene.positions[vertex]); }
+    for (int axis = 0; axis < 3; ++axis) {
+      Piece kept;
+      Piece outside;
+      split_piece(piece, axis, cell.high[axis], kept, outside);
+      piece = kept;
+      // What lies in the lower face belongs to this cell too, as a voxel's triangles do: a wall
+      // between two voxels stops the rays of both.
+      if (lowest(piece, axis) < cell.low[axis]) {
+        split_piece(kept, axis, cell.low[axis], outside, piece);
+      }
+    }
+    if (piece.count >= 3 && area_vector(piece) != Vec3(0.0F)) { pieces.push_back(piece); }
+  }
+  return pieces;
+}
+
+// ---- the shadow of pieces on a face of their bounds, as a 16 x 16 raster ----
+
+constexpr int kRasterSize = 16;
+
+class Raster {
+ public:
+  // Looks along `axis` at the face of `bounds`.
+  Raster(const Aabb& bounds, int axis)
+      : bounds_(bounds), axis_(axis), u_((axis + 1) % 3), v_((axis + 2) % 3) {
+    scale_u_ = static_cast<float>(kRasterSize) / (bounds.high[u_] - bounds.low[u_]);
+    scale_v_ = static_cast<float>(kRasterSize) / (bounds.high[v_] - bounds.low[v_]);
+  }
+
+  // Marks the samples, at the middle of the raster's squares, that the piece covers.
+  void add(const Piece& piece) {
+    std::array<float, kPieceVerticesMax> u{};
+    std::array<float, kPieceVerticesMax> v{};
+    float v_low = kInfinity;
+    float v_high = -kInfinity;
+    for (std::uint32_t i = 0; i < piece.count; ++i) {
+      u[i] = (piece.vertices[i][u_] - bounds_.low[u_]) * scale_u_ - 0.5F;
+      v[i] = (piece.vertices[i][v_] - bounds_.low[v_]) * scale_v_ - 0.5F;
+      v_low = std::min(v_low, v[i]);
+      v_high = std::max(v_high, v[i]);
+    }
+    const int row_begin = std::max(0, static_cast<int>(std::ceil(std::max(v_low, 0.0F))));
+    for (int row = row_begin; row < kRasterSize && static_cast<float>(row) <= v_high; ++row) {
+      rows_[static_cast<std::size_t>(row)] |= row_bits(piece.count, u, v, static_cast<float>(row));
+    }
+  }
+
+  [[nodiscard]] int covered() const {
+    int sum = 0;
+    for (const std::uint32_t row : rows_) { sum += std::popcount(row); }
+    return sum;
+  }
+
+  // How many samples see the plane normal . x = offset inside the bounds. Requires: normal[axis] is
+  // its largest component.
+  [[nodiscard]] int plane_samples(const Vec3& normal, float offset) const {
+    int sum = 0;
+    for (int row = 0; row < kRasterSize; ++row) {
+      for (int column = 0; column < kRasterSize; ++column) {
+        const float u = bounds_.low[u_] + (static_cast<float>(column) + 0.5F) / scale_u_;
+        const float v = bounds_.low[v_] + (static_cast<float>(row) + 0.5F) / scale_v_;
+        const float height = (offset - normal[u_] * u - normal[v_] * v) / normal[axis_];
+        sum += height >= bounds_.low[axis_] && height <= bounds_.high[axis_] ? 1 : 0;
+      }
+    }
+    return sum;
+  }
+
+ private:
+  using Coordinates = std::array<float, kPieceVerticesMax>;
+
+  [[nodiscard]] static std::uint32_t row_bits(std::uint32_t count, const Coordinates& u,
+                                              const Coordinates& v, float row) {
+    float u_low = kInfinity;
+    float u_high = -kInfinity;
+    for (std::uint32_t i = 0; i < count; ++i) {
+      const std::uint32_t next = i + 1 == count ? 0 : i + 1;
+      if ((v[i] <= row) == (v[next] <= row)) { continue; }
+      const float at = u[i] + (u[next] - u[i]) * ((row - v[i]) / (v[next] - v[i]));
+      u_low = std::min(u_low, at);
+      u_high = std::max(u_high, at);
+    }
+    const float from = std::ceil(std::max(u_low, 0.0F));
+    const float to = std::floor(std::min(u_high, static_cast<float>(kRasterSize - 1)));
+    if (!(from <= to)) { return 0; }
+    const auto first = static_cast<unsigned>(from);
+    const auto last = static_cast<unsigned>(to);
+    return ((2U << last) - 1U) & ~((1U << first) - 1U);
+  }
+
+  Aabb bounds_;
+  int axis_;
+  int u_;
+  int v_;
+  float scale_u_ = 0.0F;
+  float scale_v_ = 0.0F;
+  std::array<std::uint32_t, kRasterSize> rows_{};
+};
+
+std::uint8_t coverage_code(int covered, int of) {
+  if (of <= 0) { return covered > 0 ? 255 : 0; }
+  return static_cast<std::uint8_t>(std::min(255, (covered * 255 + of / 2) / of));
+}
+
+// ---- summaries ----
+
+// A flat leaf's geometry stays within this share of the bounds' diagonal across its plane, and its
+// normals agree at least this much.
+constexpr float kFlatThicknessMax = 0.2F;
+constexpr float kFlatAgreementMin = 0.75F;
+
+struct Summary {
+  ProxyRecord record{};  // without materials
+  std::array<std::uint32_t, 2> materials{};
+  // How much a ray's fate is misjudged: the chance that a random ray meets the bounds, by their
+  // surface, times a measure in [0,1] of what one record cannot tell.
+  float error = 0.0F;
+};
+
+int dominant_axis(const Vec3& v) {
+  const Vec3 a = glm::abs(v);
+  return a.x >= a.y ? (a.x >= a.z ? 0 : 2) : (a.y >= a.z ? 1 : 2);
+}
+
+struct Normals {
+  Vec3 mean{0.0F};         // unit
+  float agreement = 0.0F;  // length of the mean of the unit normals, turned to one side
+  bool oriented = false;
+  double area = 0.0;
+};
+
+Normals normals_of(std::span<const Piece> pieces) {
+  Vec3d projected(0.0);
+  Vec3d signed_sum(0.0);
+  double area = 0.0;
+  for (const Piece& piece : pieces) {
+    const Vec3d vector(area_vector(piece));
+    area += glm::length(vector);
+    projected += glm::abs(vector);
+    signed_sum += vector;
+  }
+  const int dominant = dominant_axis(Vec3(projected));
+  Vec3d turned_sum(0.0);
+  for (const Piece& piece : pieces) {
+    const Vec3d vector(area_vector(piece));
+    turned_sum += vector[dominant] < 0.0 ? -vector : vector;
+  }
+  Normals normals;
+  normals.area = area;
+  const double signed_length = glm::length(signed_sum);
+  const double turned_length = glm::length(turned_sum);
+  normals.oriented = signed_length > 0.6 * area;
+  normals.agreement = static_cast<float>(turned_length / area);
+  normals.mean = Vec3(normals.oriented ? signed_sum / signed_length : turned_sum / turned_length);
+  return normals;
+}
+
+Aabb bounds_of(std::span<const Piece> pieces) {
+  Aabb bounds;
+  for (const Piece& piece : pieces) {
+    for (std::uint32_t i = 0; i < piece.count; ++i) { bounds.extend(piece.vertices[i]); }
+  }
+  return bounds;
+}
+
+float half_surface(const Aabb& box) {
+  const Vec3 e = box.extent();
+  return e.x * e.y + e.y * e.z + e.z * e.x;
+}
+
+void set_bounds(ProxyRecord& record, const Aabb& tight, const Aabb& cell) {
+  const Vec3 scale = Vec3(255.0F) / cell.extent();
+  for (int axis = 0; axis < 3; ++axis) {
+    const auto i = static_cast<std::size_t>(axis);
+    const float low = std::floor((tight.low[axis] - cell.low[axis]) * scale[axis]);
+    const float high = std::ceil((tight.high[axis] - cell.low[axis]) * scale[axis]);
+    record.low[i] = static_cast<std::uint8_t>(std::clamp(low, 0.0F, 255.0F));
+    record.high[i] = static_cast<std::uint8_t>(std::clamp(high, 0.0F, 255.0F));
+  }
+}
+
+// The two materials of most area; the first eight that turn up are weighed.
+void set_materials(Summary& summary, std::span<const Piece> pieces) {
+  struct Weight {
+    std::uint32_t material = 0;
+    double area = 0.0;
+  };
+  std::array<Weight, 8> weights{};
+  std::size_t count = 0;
+  for (const Piece& piece : pieces) {
+    const double piece_area = glm::length(Vec3d(area_vector(piece)));
+    std::size_t i = 0;
+    while (i < count && weights[i].material != piece.material) { ++i; }
+    if (i == weights.size()) { continue; }
+    if (i == count) { weights[count++].material = piece.material; }
+    weights[i].area += piece_area;
+  }
+  Weight major = weights[0];
+  Weight minor = weights[0];
+  minor.area = 0.0;
+  for (std::size_t i = 1; i < count; ++i) {
+    if (weights[i].area > major.area) {
+      minor = std::exchange(major, weights[i]);
+    } else if (weights[i].area > minor.area) {
+      minor = weights[i];
+    }
+  }
+  summary.materials = {major.material, minor.material};
+  const double share = minor.area / (major.area + minor.area);
+  summary.record.minor_share = static_cast<std::uint16_t>(share * 65535.0);
+}
+
+// The mean distance of the pieces along the normal, and the range of their vertices.
+struct Spread {
+  float mean = 0.0F;
+  float range = 0.0F;
+};
+
+Spread spread_along(const Vec3& normal, std::span<const Piece> pieces) {
+  float low = kInfinity;
+  float high = -kInfinity;
+  double sum = 0.0;
+  double weight = 0.0;
+  for (const Piece& piece : pieces) {
+    double middle = 0.0;
+    for (std::uint32_t i = 0; i < piece.count; ++i) {
+      const float distance = glm::dot(normal, piece.vertices[i]);
+      low = std::min(low, distance);
+      high = std::max(high, distance);
+      middle += static_cast<double>(distance);
+    }
+    const double area = glm::length(Vec3d(area_vector(piece)));
+    sum += area * middle / static_cast<double>(piece.count);
+    weight += area;
+  }
+  return {static_cast<float>(sum / weight), high - low};
+}
+
+// What normal . x may be inside the bounds.
+struct PlaneRange {
+  float low = 0.0F;
+  float high = 0.0F;
+};
+
+PlaneRange plane_range(const Vec3& normal, const Aabb& bounds) {
+  const float middle = glm::dot(normal, 0.5F * (bounds.low + bounds.high));
+  const float half = glm::dot(glm::abs(normal), 0.5F * bounds.extent());
+  return {middle - half, middle + half};
+}
+
+Summary summarise(std::span<const Piece> pieces, const Aabb& cell) {
+  Summary summary;
+  ProxyRecord& record = summary.record;
+  if (pieces.empty()) { return summary; }
+  const Aabb tight = bounds_of(pieces);
+  set_bounds(record, tight, cell);
+  set_materials(summary, pieces);
+  const Aabb bounds = record_bounds(record, cell);
+  const Normals normals = normals_of(pieces);
+  record.normal = encode_normal(normals.mean);
+  record.shape = normals.oriented ? kShapeOriented : 0;
+
+  const Vec3 normal = decode_normal(record.normal);
+  const Spread spread = spread_along(normal, pieces);
+  const float diagonal = glm::length(tight.extent());
+  const float thickness = spread.range / diagonal;
+  float unknown = 0.0F;
+  if (thickness <= kFlatThicknessMax && normals.agreement >= kFlatAgreementMin) {
+    record.shape |= kShapeFlat;
+    const PlaneRange range = plane_range(normal, bounds);
+    const float at = (spread.mean - range.low) / (range.high - range.low);
+    record.plane_offset = static_cast<std::uint16_t>(std::clamp(at, 0.0F, 1.0F) * 65535.0F + 0.5F);
+    record.thickness = static_cast<std::uint16_t>(
+        std::min(1.0F, spread.range / glm::length(bounds.extent())) * 65535.0F);
+    const int axis = dominant_axis(normal);
+    Raster raster(bounds, axis);
+    for (const Piece& piece : pieces) { raster.add(piece); }
+    record.coverage[0] =
+        coverage_code(raster.covered(),
+                      raster.plane_samples(normal, record_plane_offset(record, normal, bounds)));
+    const float covered = static_cast<float>(record.coverage[0]) / 255.0F;
+    unknown = thickness + covered * (1.0F - covered);
+  } else {
+    unknown = 0.5F;
+    for (int axis = 0; axis < 3; ++axis) {
+      Raster raster(bounds, axis);
+      for (const Piece& piece : pieces) { raster.add(piece); }
+      const std::uint8_t code = coverage_code(raster.covered(), kRasterSize * kRasterSize);
+      record.coverage[static_cast<std::size_t>(axis)] = code;
+      const float covered = static_cast<float>(code) / 255.0F;
+      unknown += covered * (1.0F - covered) / 1.5F;
+    }
+  }
+  unknown += 0.1F * static_cast<float>(record.minor_share) / 32768.0F;
+  summary.error = half_surface(tight) * unknown;
+  return summary;
+}
+
+// ---- one voxel's tree, split where the error is largest first ----
+
+constexpr std::uint32_t kNeverSplit = 0xFFFFFFFF;
+// Rays that meet less than this of the scene's unit surface are too few to tell apart.
+constexpr float kErrorMin = 2e-7F;
+
+struct BuildNode {
+  Summary summary{};
+  std::uint32_t first_child = 0;
+  std::uint8_t child_mask = 0;
+  std::uint32_t split = kNeverSplit;  // how many splits of the voxel came before its own
+};
+
+struct BuildSplit {
+  float error = 0.0F;       // the least of this split's and all earlier ones'
+  std::uint32_t added = 0;  // leaves
+};
+
+struct VoxelTree {
+  Aabb cell{};
+  std::vector<BuildNode> nodes{};
+  std::vector<BuildSplit> splits{};  // in order
+  std::uint32_t splits_kept = 0;
+};
+
+class VoxelTreeBuilder {
+ public:
+  explicit VoxelTreeBuilder(VoxelTree& tree) : tree_(tree) {}
+
+  void build(std::vector<Piece> pieces, std::size_t leaf_count_max) {
+    tree_.nodes.push_back({summarise(pieces, tree_.cell)});
+    push({0, 0, tree_.cell, std::move(pieces)});
+    std::size_t leaf_count = 1;
+    float error = kInfinity;
+    while (!open_.empty() && leaf_count < leaf_count_max) {
+      std::pop_heap(open_.begin(), open_.end(), later_);
+      const Open open = std::move(open_.back());
+      open_.pop_back();
+      const std::uint32_t children = split(open);
+      if (children == 0) { continue; }
+      BuildNode& node = tree_.nodes[open.node];
+      node.split = static_cast<std::uint32_t>(tree_.splits.size());
+      error = std::min(error, node.summary.error);
+      tree_.splits.push_back({error, children - 1});
+      leaf_count += children - 1;
+    }
+  }
+
+ private:
+  struct Open {
+    std::uint32_t node = 0;
+    unsigned depth = 0;
+    Aabb cell{};
+    std::vector<Piece> pieces{};
+  };
+
+  struct Later {
+    const VoxelTree* tree;
+    bool operator()(const Open& a, const Open& b) const {
+      const float error_a = tree->nodes[a.node].summary.error;
+      const float error_b = tree->nodes[b.node].summary.error;
+      return error_a != error_b ? error_a < error_b : a.node > b.node;
+    }
+  };
+
+  void push(Open open) {
+    const bool is_small = open.cell.extent().x < 8.0F * kVoxelMargin;
+    if (tree_.nodes[open.node].summary.error < kErrorMin || open.depth == kProxyDepthMax ||
+        is_small) {
+      return;
+    }
+    open_.push_back(std::move(open));
+    std::push_heap(open_.begin(), open_.end(), later_);
+  }
+
+  // Returns how many children the node got; none if rounding leaves nothing of its slivers.
+  std::uint32_t split(const Open& open) {
+    const Vec3 middle = child_cell(open.cell, 0).high;
+    std::array<std::vector<Piece>, 8> parts;
+    for (const Piece& piece : open.pieces) { distribute(piece, middle, parts); }
+    const auto first_child = static_cast<std::uint32_t>(tree_.nodes.size());
+    tree_.nodes[open.node].first_child = first_child;
+    std::uint32_t count = 0;
+    for (unsigned octant = 0; octant < 8; ++octant) {
+      if (parts[octant].empty()) { continue; }
+      const Aabb cell = child_cell(open.cell, octant);
+      tree_.nodes.push_back({summarise(parts[octant], cell)});
+      tree_.nodes[open.node].child_mask |= static_cast<std::uint8_t>(1U << octant);
+      push({first_child + count, open.depth + 1, cell, std::move(parts[octant])});
+      ++count;
+    }
+    return count;
+  }
+
+  static void distribute(const Piece& piece, const Vec3& middle,
+                         std::array<std::vector<Piece>, 8>& parts) {
+    std::array<Piece, 8> cut;
+    cut[0] = piece;
+    for (unsigned axis = 0; axis < 3; ++axis) {
+      for (unsigned octant = 0; octant < (1U << axis); ++octant) {
+        const Piece whole = cut[octant];
+        split_piece(whole, static_cast<int>(axis), middle[static_cast<int>(axis)], cut[octant],
+                    cut[octant | (1U << axis)]);
+      }
+    }
+    for (unsigned octant = 0; octant < 8; ++octant) {
+      if (cut[octant].count >= 3 && area_vector(cut[octant]) != Vec3(0.0F)) {
+        parts[octant].push_back(cut[octant]);
+      }
+    }
+  }
+
+  VoxelTree& tree_;
+  Later later_{&tree_};
+  std::vector<Open> open_;
+};
+
+// ---- the cut through all trees that the budget allows ----
+
+// At most a record for so many triangles while splitting; the cut across voxels takes its pick.
+constexpr std::size_t kTrianglesPerLeafMin = 3;
+constexpr std::size_t kLeavesPerVoxelFree = 64;
+constexpr std::uint64_t kDirectoryBytesPerVoxel = 96;
+
+using CellBytes = std::array<float, 6>;  // low, high
+constexpr std::size_t kCellBytes = sizeof(CellBytes);
+constexpr std::size_t kInnerNodeBytes = 2;
+
+template <class T>
+void sort_unique(std::vector<T>& values) {
+  std::sort(values.begin(), values.end());
+  values.erase(std::unique(values.begin(), values.end()), values.end());
+}
+
+// The cells of the octree nodes that are voxels.
+std::vector<Aabb> voxel_cells(const Octree& octree, std::span<const std::uint32_t> voxel_roots) {
+  std::vector<Aabb> cells(voxel_roots.size());
+  std::unordered_map<std::uint32_t, std::size_t> voxel_of_node;
+  for (std::size_t voxel = 0; voxel < voxel_roots.size(); ++voxel) {
+    voxel_of_node.emplace(voxel_roots[voxel], voxel);
+  }
+  if (voxel_roots.empty()) { return cells; }
+  std::vector<std::pair<std::uint32_t, Aabb>> pending{{0U, octree.root}};
+  while (!pending.empty()) {
+    const auto [node, cell] = pending.back();
+    pending.pop_back();
+    const auto found = voxel_of_node.find(node);
+    if (found != voxel_of_node.end()) {
+      cells[found->second] = cell;
+      continue;
+    }
+    const std::uint32_t first_child = octree.nodes[node].first_child;
+    for (unsigned octant = 0; octant < 8 && first_child != 0; ++octant) {
+      pending.emplace_back(first_child + octant, child_cell(cell, octant));
+    }
+  }
+  return cells;
+}
+
+// Returns a lower bound of the voxel's bytes in the store.
+std::uint64_t build_voxel_tree(const Scene& scene, const Octree& octree, std::uint32_t root,
+                               VoxelTree& tree) {
+  const OctreeNode& node = octree.nodes[root];
+  const auto begin = octree.references.begin() + static_cast<std::ptrdiff_t>(node.references_begin);
+  std::vector<std::uint32_t> triangles(begin, begin + node.references_count);
+  sort_unique(triangles);
+  std::vector<std::uint32_t> vertices;
+  vertices.reserve(triangles.size() * 3);
+  for (const std::uint32_t id : triangles) {
+    const Triangle& triangle = scene.triangles[id];
+    vertices.insert(vertices.end(), triangle.vertices.begin(), triangle.vertices.end());
+  }
+  sort_unique(vertices);
+  VoxelTreeBuilder(tree).build(pieces_in_cell(scene, triangles, tree.cell),
+                               kLeavesPerVoxelFree + triangles.size() / kTrianglesPerLeafMin);
+  return voxel_block_bytes(vertices.size(), triangles.size(), false) + kDirectoryBytesPerVoxel;
+}
+
+// Keeps the splits of largest error, over all voxels, whose bytes fit. A voxel's errors never grow
+// along its splits, so what is kept of it is always a prefix: a tree.
+void keep_splits(std::vector<VoxelTree>& trees, std::uint64_t store_bytes) {
+  struct Split {
+    float error = 0.0F;
+    std::uint32_t voxel = 0;
+    std::uint32_t index = 0;
+  };
+  std::vector<Split> all;
+  for (std::uint32_t voxel = 0; voxel < trees.size(); ++voxel) {
+    for (std::uint32_t index = 0; index < trees[voxel].splits.size(); ++index) {
+      all.push_back({trees[voxel].splits[index].error, voxel, index});
+    }
+  }
+  std::sort(all.begin(), all.end(), [](const Split& a, const Split& b) {
+    if (a.error != b.error) { return a.error > b.error; }
+    return a.voxel != b.voxel ? a.voxel < b.voxel : a.index < b.index;
+  });
+  const auto budget = static_cast<std::uint64_t>(static_cast<double>(store_bytes) * kProxyShareMax);
+  std::uint64_t bytes = trees.size() * (kCellBytes + 1 + sizeof(ProxyRecord));
+  for (const Split& split : all) {
+    VoxelTree& tree = trees[split.voxel];
+    bytes += tree.splits[split.index].added * sizeof(ProxyRecord) + kInnerNodeBytes;
+    if (bytes > budget) { break; }
+    tree.splits_kept = split.index + 1;
+  }
+}
+
+// ---- the proxy as a value, and its bytes ----
+
+// What is stored. A node is inner or a leaf by its parent's leaf mask, a voxel's root by
+// root_inner.
+struct Packed {
+  struct InnerNode {
+    std::uint8_t child_mask = 0;
+    std::uint8_t leaf_mask = 0;  // which of the children are leaves
+  };
+  std::vector<Aabb> cells{};
+  std::vector<std::uint8_t> root_inner{};  // [voxel_count]
+  std::vector<InnerNode> inner{};          // in the order of Proxy::nodes
+  std::vector<ProxyRecord> records{};
+  std::vector<std::uint32_t> materials{};
+};
+
+class MaterialPalette {
+ public:
+  std::uint16_t index_of(std::uint32_t material) {
+    const auto next = static_cast<std::uint32_t>(materials_.size());
+    if (next == 0x10000U && !index_.contains(material)) { return 0xFFFFU; }
+    const auto [at, is_new] = index_.emplace(material, next);
+    if (is_new) { materials_.push_back(material); }
+    return static_cast<std::uint16_t>(at->second);
+  }
+  [[nodiscard]] std::vector<std::uint32_t> take() { return std::move(materials_); }
+
+ private:
+  std::unordered_map<std::uint32_t, std::uint32_t> index_;
+  std::vector<std::uint32_t> materials_;
+};
+
+void pack_tree(const VoxelTree& tree, MaterialPalette& palette, Packed& packed) {
+  const auto is_inner = [&](std::uint32_t node) {
+    return tree.nodes[node].split < tree.splits_kept;
+  };
+  packed.cells.push_back(tree.cell);
+  packed.root_inner.push_back(is_inner(0) ? 1 : 0);
+  std::vector<std::uint32_t> order{0};
+  for (std::size_t at = 0; at < order.size(); ++at) {
+    const BuildNode& node = tree.nodes[order[at]];
+    if (!is_inner(order[at])) {
+      ProxyRecord record = node.summary.record;
+      record.material_major = palette.index_of(node.summary.materials[0]);
+      record.material_minor = palette.index_of(node.summary.materials[1]);
+      packed.records.push_back(record);
+      continue;
+    }
+    Packed::InnerNode inner{node.child_mask, 0};
+    std::uint32_t child = node.first_child;
+    for (unsigned octant = 0; octant < 8; ++octant) {
+      if ((node.child_mask >> octant & 1U) == 0) { continue; }
+      if (!is_inner(child)) { inner.leaf_mask |= static_cast<std::uint8_t>(1U << octant); }
+      order.push_back(child++);
+    }
+    packed.inner.push_back(inner);
+  }
+}
+
+tl::unexpected<Error> damaged(const std::string& what) {
+  return fail(ExitCode::kStoreDamaged, "proxy: " + what);
+}
+
+// Rebuilds the nodes with their bounds, and checks what the nodes rely on.
+class Expander {
+ public:
+  explicit Expander(Packed packed) : packed_(std::move(packed)) {}
+
+  Result<Proxy> expand() {
+    for (std::size_t voxel = 0; voxel < packed_.cells.size(); ++voxel) {
+      const Result<void> done = expand_voxel(voxel);
+      if (!done) { return tl::unexpected<Error>(done.error()); }
+    }
+    if (inner_taken_ != packed_.inner.size() || records_taken_ != packed_.records.size()) {
+      return damaged("nodes or records that no voxel owns");
+    }
+    proxy_.cells = std::move(packed_.cells);
+    proxy_.records = std::move(packed_.records);
+    proxy_.materials = std::move(packed_.materials);
+    return std::move(proxy_);
+  }
+
+ private:
+  struct Pending {
+    Aabb cell{};
+    unsigned depth = 0;
+    bool is_leaf = false;
+  };
+
+  Result<void> expand_voxel(std::size_t voxel) {
+    const std::size_t begin = proxy_.nodes.size();
+    proxy_.roots.push_back(static_cast<std::uint32_t>(begin));
+    proxy_.nodes.emplace_back();
+    pending_.assign(1, {packed_.cells[voxel], 0, packed_.root_inner[voxel] == 0});
+    for (std::size_t at = 0; at < pending_.size(); ++at) {
+      const Pending pending = pending_[at];
+      if (pending.is_leaf) {
+        if (records_taken_ == packed_.records.size()) { return damaged("too few records"); }
+        proxy_.nodes[begin + at].first = static_cast<std::uint32_t>(records_taken_);
+        proxy_.nodes[begin + at].bounds =
+            record_bounds(packed_.records[records_taken_++], pending.cell);
+        continue;
+      }
+      if (inner_taken_ == packed_.inner.size()) { return damaged("too few nodes"); }
+      if (pending.depth == kProxyDepthMax) { return damaged("a tree deeper than 24 levels"); }
+      const Packed::InnerNode inner = packed_.inner[inner_taken_++];
+      if (inner.child_mask == 0 || (inner.leaf_mask & ~inner.child_mask) != 0) {
+        return damaged("a node with impossible children");
+      }
+      proxy_.nodes[begin + at].child_mask = inner.child_mask;
+      proxy_.nodes[begin + at].first = static_cast<std::uint32_t>(proxy_.nodes.size());
+      for (unsigned octant = 0; octant < 8; ++octant) {
+        if ((inner.child_mask >> octant & 1U) == 0) { continue; }
+        pending_.push_back({child_cell(pending.cell, octant), pending.depth + 1,
+                            (inner.leaf_mask >> octant & 1U) != 0});
+        proxy_.nodes.emplace_back();
+      }
+    }
+    for (std::size_t node = proxy_.nodes.size(); node-- > begin;) { join_children(node); }
+    return {};
+  }
+
+  void join_children(std::size_t node) {
+    const int count = std::popcount(proxy_.nodes[node].child_mask);
+    for (int child = 0; child < count; ++child) {
+      const std::size_t at = proxy_.nodes[node].first + static_cast<std::size_t>(child);
+      proxy_.nodes[node].bounds.extend(proxy_.nodes[at].bounds);
+    }
+  }
+
+  Packed packed_;
+  Proxy proxy_;
+  std::vector<Pending> pending_;
+  std::size_t inner_taken_ = 0;
+  std::size_t records_taken_ = 0;
+};
+
+// The encoded proxy: header, materials, cells, root_inner, inner nodes, records, without padding.
+struct Header {
+  std::uint32_t magic = 0x50525850;  // "PXRP"
+  std::uint32_t voxel_count = 0;
+  std::uint32_t material_count = 0;
+  std::uint32_t inner_count = 0;
+  std::uint32_t record_count = 0;
+};
+
+template <class T>
+void append(std::vector<std::byte>& bytes, const std::vector<T>& values) {
+  const std::size_t end = bytes.size();
+  bytes.resize(end + values.size() * sizeof(T));
+  if (!values.empty()) {
+    std::memcpy(bytes.data() + end, values.data(), values.size() * sizeof(T));
+  }
+}
+
+// Requires: the bytes hold so many values; the whole length was checked against the header.
+template <class T>
+void take(std::span<const std::byte>& bytes, std::vector<T>& values, std::size_t count) {
+  static_assert(std::is_trivially_copyable_v<T>);
+  values.resize(count);
+  if (count > 0) { std::memcpy(values.data(), bytes.data(), count * sizeof(T)); }
+  bytes = bytes.subspan(count * sizeof(T));
+}
+
+bool is_cell(const Aabb& cell) {
+  for (int axis = 0; axis < 3; ++axis) {
+    const bool inside = cell.low[axis] >= -4.0F && cell.high[axis] <= 4.0F;  // false for NaN
+    if (!inside || !(cell.low[axis] < cell.high[axis])) { return false; }
+  }
+  return true;
+}
+
+Result<void> check_packed(const Packed& packed) {
+  if (!std::all_of(packed.cells.begin(), packed.cells.end(), is_cell)) {
+    return damaged("a voxel without a cell inside the scene frame");
+  }
+  for (const ProxyRecord& record : packed.records) {
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      if (record.low[axis] > record.high[axis]) { return damaged("a record without bounds"); }
+    }
+    const std::size_t material = std::max(record.material_major, record.material_minor);
+    if (material >= packed.materials.size()) { return damaged("a record without a material"); }
+  }
+  return {};
+}
+
+}  // namespace
+
+Aabb record_bounds(const ProxyRecord& record, const Aabb& cell) {
+  Aabb bounds;
+  const Vec3 step = cell.extent() * (1.0F / 255.0F);
+  for (int axis = 0; axis < 3; ++axis) {
+    const auto i = static_cast<std::size_t>(axis);
+    bounds.low[axis] = cell.low[axis] + step[axis] * static_cast<float>(record.low[i]);
+    bounds.high[axis] = record.high[i] == 255
+                            ? cell.high[axis]
+                            : cell.low[axis] + step[axis] * static_cast<float>(record.high[i]);
+    if (bounds.high[axis] - bounds.low[axis] < kProxyExtentMin) {
+      const float middle = 0.5F * (bounds.low[axis] + bounds.high[axis]);
+      bounds.low[axis] = middle - 0.5F * kProxyExtentMin;
+      bounds.high[axis] = middle + 0.5F * kProxyExtentMin;
+    }
+  }
+  return bounds;
+}
+
+float record_plane_offset(const ProxyRecord& record, const Vec3& normal, const Aabb& bounds) {
+  const PlaneRange range = plane_range(normal, bounds);
+  return range.low +
+         (range.high - range.low) * (static_cast<float>(record.plane_offset) * (1.0F / 65535.0F));
+}
 
 Proxy build_proxy(const Scene& scene, const Octree& octree,
                   std::span<const std::uint32_t> voxel_roots) {
-  static_cast<void>(scene);
-  static_cast<void>(octree);
-  return {.placeholder = std::vector<std::byte>(voxel_roots.size())};
+  std::vector<VoxelTree> trees(voxel_roots.size());
+  const std::vector<Aabb> cells = voxel_cells(octree, voxel_roots);
+  std::vector<std::uint64_t> bytes(voxel_roots.size());
+  tbb::parallel_for(std::size_t{0}, trees.size(), [&](std::size_t voxel) {
+    trees[voxel].cell = cells[voxel];
+    bytes[voxel] = build_voxel_tree(scene, octree, voxel_roots[voxel], trees[voxel]);
+  });
+  std::uint64_t store_bytes = 0;
+  for (const std::uint64_t voxel_bytes : bytes) { store_bytes += voxel_bytes; }
+  keep_splits(trees, store_bytes);
+
+  Packed packed;
+  MaterialPalette palette;
+  for (const VoxelTree& tree : trees) { pack_tree(tree, palette, packed); }
+  packed.materials = palette.take();
+  Result<Proxy> proxy = Expander(std::move(packed)).expand();
+  CHECK(proxy.has_value());
+  return std::move(*proxy);
 }
 
-std::vector<std::byte> encode_proxy(const Proxy& proxy) { return proxy.placeholder; }
+std::vector<std::byte> encode_proxy(const Proxy& proxy) {
+  std::vector<std::uint8_t> root_inner;
+  for (const std::uint32_t root : proxy.roots) {
+    root_inner.push_back(proxy.nodes[root].child_mask != 0 ? 1 : 0);
+  }
+  std::vector<Packed::InnerNode> inner;
+  for (const ProxyNode& node : proxy.nodes) {
+    if (node.child_mask == 0) { continue; }
+    Packed::InnerNode packed{node.child_mask, 0};
+    std::uint32_t child = node.first;
+    for (unsigned octant = 0; octant < 8; ++octant) {
+      if ((node.child_mask >> octant & 1U) == 0) { continue; }
+      if (proxy.nodes[child++].child_mask == 0) {
+        packed.leaf_mask |= static_cast<std::uint8_t>(1U << octant);
+      }
+    }
+    inner.push_back(packed);
+  }
+  std::vector<Header> header(1);
+  header[0].voxel_count = static_cast<std::uint32_t>(proxy.roots.size());
+  header[0].material_count = static_cast<std::uint32_t>(proxy.materials.size());
+  header[0].inner_count = static_cast<std::uint32_t>(inner.size());
+  header[0].record_count = static_cast<std::uint32_t>(proxy.records.size());
+  std::vector<std::byte> bytes;
+  append(bytes, header);
+  append(bytes, proxy.materials);
+  std::vector<CellBytes> cells;
+  for (const Aabb& cell : proxy.cells) {
+    cells.push_back({cell.low.x, cell.low.y, cell.low.z, cell.high.x, cell.high.y, cell.high.z});
+  }
+  append(bytes, cells);
+  append(bytes, root_inner);
+  append(bytes, inner);
+  append(bytes, proxy.records);
+  return bytes;
+}
 
 Result<Proxy> decode_proxy(std::span<const std::byte> bytes, std::size_t voxel_count) {
-  if (bytes.size() != voxel_count) { return fail(ExitCode::kStoreDamaged, "proxy: wrong size"); }
-  return Proxy{.placeholder = {bytes.begin(), bytes.end()}};
+  Header header;
+  const std::uint32_t magic = header.magic;
+  if (bytes.size() < sizeof(Header)) { return damaged("shorter than its header"); }
+  std::memcpy(&header, bytes.data(), sizeof(Header));
+  const std::uint64_t size_expected = sizeof(Header) +
+                                      sizeof(std::uint32_t) * std::uint64_t{header.material_count} +
+                                      (kCellBytes + 1) * std::uint64_t{header.voxel_count} +
+                                      kInnerNodeBytes * std::uint64_t{header.inner_count} +
+                                      sizeof(ProxyRecord) * std::uint64_t{header.record_count};
+  if (header.magic != magic || header.voxel_count != voxel_count) {
+    return damaged("not the proxy of a scene of " + std::to_string(voxel_count) + " voxels");
+  }
+  if (bytes.size() != size_expected) {
+    return damaged(std::to_string(bytes.size()) + " bytes instead of " +
+                   std::to_string(size_expected));
+  }
+  bytes = bytes.subspan(sizeof(Header));
+  Packed packed;
+  take(bytes, packed.materials, header.material_count);
+  std::vector<CellBytes> cells;
+  take(bytes, cells, header.voxel_count);
+  for (const CellBytes& cell : cells) {
+    packed.cells.push_back({{cell[0], cell[1], cell[2]}, {cell[3], cell[4], cell[5]}});
+  }
+  take(bytes, packed.root_inner, header.voxel_count);
+  take(bytes, packed.inner, header.inner_count);
+  take(bytes, packed.records, header.record_count);
+  const Result<void> checked = check_packed(packed);
+  if (!checked) { return tl::unexpected<Error>(checked.error()); }
+  return Expander(std::move(packed)).expand();
 }
 
 }  // namespace preheat

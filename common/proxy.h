@@ -1,8 +1,15 @@
-// What prediction knows of a scene: one small record per fine octree leaf, and no triangle.
+// What prediction knows of a scene: one small record per proxy leaf, and no triangle.
 //
-// At most 10 % of the store (DESIGN section 2).
+// Below every voxel's octree node hangs a proxy tree. Its cells are octree cells, but they are
+// split where a ray's fate is uncertain and left whole where one record tells it: a bare wall is
+// one leaf however many triangles it has, a chair gets many. A record says where the geometry of
+// its cell lies, how likely it stops a ray, and of what material it is.
+//
+// Bound: the encoded proxy is at most kProxyShareMax of the voxel blocks and their directory, but
+// holds at least one record per voxel. Same bytes on any number of threads.
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <span>
@@ -11,20 +18,72 @@
 #include "common/octree.h"
 #include "common/result.h"
 #include "common/scene.h"
+#include "common/scene_tables.h"
 
 namespace preheat {
 
-struct Proxy {
-  std::vector<std::byte> placeholder{};
+inline constexpr double kProxyShareMax = 0.095;
+inline constexpr unsigned kProxyDepthMax = 24;                 // levels below a voxel
+inline constexpr float kProxyExtentMin = 2.0F * kVoxelMargin;  // of a leaf's bounds along an axis
+
+// The geometry inside one cell, as stored: 24 bytes, little-endian.
+//
+// A *flat* leaf holds geometry near one plane: a ray that crosses the plane inside the bounds stops
+// there with probability coverage[0]. For convex planar pieces, which real scenes mostly hold, this
+// is exact, where the ratio of projected areas, sum_k |d_k| A_k * chord / volume, stops too few of
+// the rays whose chord is long (it is cut at 1) and lets their reflections begin inside the cell.
+//
+// Any other leaf is *scattered*. coverage[k] is the share of the bounds' face across axis k that
+// the geometry's shadow along k covers; a union, so that layers do not count twice. A chord of
+// length l in direction d passes with probability exp(-l * sum_k |d_k| * -ln(1 - coverage[k]) /
+// extent[k]): straight along an axis that is 1 - coverage[k].
+struct ProxyRecord {
+  std::uint32_t normal = 0;           // encode_normal of the mean by area
+  std::array<std::uint8_t, 3> low{};  // bounds in 255ths of the cell, rounded outwards
+  std::array<std::uint8_t, 3> high{};
+  std::array<std::uint8_t, 3> coverage{};  // 255ths
+  std::uint8_t shape = 0;                  // kShape* bits
+  std::uint16_t plane_offset = 0;          // 65535ths of the range of normal . x over the bounds
+  std::uint16_t thickness = 0;       // of a flat leaf across its plane, 65535ths of the diagonal
+  std::uint16_t minor_share = 0;     // of the area, 65535ths, at most half
+  std::uint16_t material_major = 0;  // into Proxy::materials: the material of most area
+  std::uint16_t material_minor = 0;  // and the next
+};
+inline constexpr std::uint8_t kShapeFlat = 1;
+inline constexpr std::uint8_t kShapeOriented = 2;  // the normals agree on a side
+static_assert(sizeof(ProxyRecord) == 24);
+
+// Where the record's geometry lies, in the scene frame.
+[[nodiscard]] Aabb record_bounds(const ProxyRecord& record, const Aabb& cell);
+// normal . x on a flat record's plane. `normal` is the record's, decoded.
+[[nodiscard]] float record_plane_offset(const ProxyRecord& record, const Vec3& normal,
+                                        const Aabb& bounds);
+
+struct ProxyNode {
+  Aabb bounds{};                // of the geometry below
+  std::uint32_t first = 0;      // inner: its first child in Proxy::nodes; leaf: into Proxy::records
+  std::uint8_t child_mask = 0;  // bit i: octant i has geometry; the children follow in that order.
+                                // 0 = leaf
 };
 
-// `voxel_roots[v]` is the octree node whose subtree is voxel v; the nodes above it hold no leaf with
-// references.
+struct Proxy {
+  std::vector<Aabb> cells{};               // [voxel_count] the octree cell of each voxel
+  std::vector<std::uint32_t> roots{};      // [voxel_count] into nodes
+  std::vector<ProxyNode> nodes{};          // of each voxel breadth first, voxels in order
+  std::vector<ProxyRecord> records{};      // in the order of the leaves in `nodes`
+  std::vector<std::uint32_t> materials{};  // material ids that records refer to, by first use; the
+                                           // last one stands for any beyond 2^16
+};
+
+// `voxel_roots[v]` is the octree node whose subtree is voxel v; the nodes above it hold no leaf
+// with references.
 [[nodiscard]] Proxy build_proxy(const Scene& scene, const Octree& octree,
                                 std::span<const std::uint32_t> voxel_roots);
 
 [[nodiscard]] std::vector<std::byte> encode_proxy(const Proxy& proxy);
-[[nodiscard]] Result<Proxy> decode_proxy(std::span<const std::byte> bytes,
-                                         std::size_t voxel_count);
+
+// Every index, cell and count is checked; material ids must be checked against the scene's tables
+// by who joins the two.
+[[nodiscard]] Result<Proxy> decode_proxy(std::span<const std::byte> bytes, std::size_t voxel_count);
 
 }  // namespace preheat

@@ -1,0 +1,535 @@
+#include "cache/tracing.h"
+
+#include <immintrin.h>
+#include <spdlog/spdlog.h>
+
+#include <atomic>
+#include <cmath>
+#include <cstring>
+#include <mutex>
+
+#include "cache/renderer.h"
+#include "common/check.h"
+
+#if __has_include(<embree4/rtcore.h>)
+#include <embree4/rtcore.h>
+#else
+#include <embree3/rtcore.h>
+#endif
+
+namespace preheat {
+namespace {
+
+// Written for Embree 4; these few lines make Embree 3 look like it.
+#if RTC_VERSION_MAJOR >= 4
+using RayContext = RTCRayQueryContext;
+void init_context(RayContext& context) { rtcInitRayQueryContext(&context); }
+void intersect(RTCScene scene, RayContext& context, RTCRayHit& ray_hit) {
+  RTCIntersectArguments arguments;
+  rtcInitIntersectArguments(&arguments);
+  arguments.context = &context;
+  rtcIntersect1(scene, &ray_hit, &arguments);
+}
+void occluded(RTCScene scene, RayContext& context, RTCRay& ray) {
+  RTCOccludedArguments arguments;
+  rtcInitOccludedArguments(&arguments);
+  arguments.context = &context;
+  rtcOccluded1(scene, &ray, &arguments);
+}
+#else
+using RayContext = RTCIntersectContext;
+void init_context(RayContext& context) { rtcInitIntersectContext(&context); }
+void intersect(RTCScene scene, RayContext& context, RTCRayHit& ray_hit) {
+  rtcIntersect1(scene, &context, &ray_hit);
+}
+void occluded(RTCScene scene, RayContext& context, RTCRay& ray) {
+  rtcOccluded1(scene, &context, &ray);
+}
+#endif
+
+// The candidates' window behind the best hit: 16 ulp of t for the rounding of t itself, and 2^-21
+// scene units for that of coordinates of magnitude 1.
+constexpr float kWindowRelative = 1.9073486328125e-06F;
+constexpr float kWindowAbsolute = 4.76837158203125e-07F;
+
+float widened(float t) { return t * (1.0F + kWindowRelative) + kWindowAbsolute; }
+
+// True if a hit at t lies so clearly before the entry that nothing inside can be nearer.
+bool is_before(float t, float t_enter) { return widened(t) < t_enter; }
+
+struct Geometry {
+  MeshArrays arrays{};
+};
+
+// A query's state that the callbacks reach through Embree's context pointer.
+struct QueryContext : RayContext {
+  const Residency::Impl* residency = nullptr;
+  RayQuery* query = nullptr;
+  std::uint64_t stamp = 0;
+  unsigned parallel_axes = 0;  // bit i: the ray runs (almost) parallel to the faces of axis i
+  // The best hit's place, while its mesh is pinned by the guard.
+  const Geometry* geometry = nullptr;
+  std::uint32_t primitive = 0;
+  float u = 0.0F;
+  float v = 0.0F;
+};
+
+Vec3 vertex_at(const MeshArrays& arrays, std::uint32_t primitive, unsigned corner) {
+  const std::size_t vertex = arrays.indices[std::size_t{primitive} * 3 + corner];
+  return {arrays.positions[vertex * 3], arrays.positions[vertex * 3 + 1],
+          arrays.positions[vertex * 3 + 2]};
+}
+
+// Below this a direction's component is taken as parallel: over a scene's length such a ray leaves
+// a face by less than the rounding of a coordinate.
+constexpr float kParallelComponent = 9.5367431640625e-07F;
+
+unsigned parallel_axes(const Vec3& direction) {
+  unsigned axes = 0;
+  for (int axis = 0; axis < 3; ++axis) {
+    axes |= std::abs(direction[axis]) < kParallelComponent ? 1U << axis : 0U;
+  }
+  return axes;
+}
+
+// A ray that lies exactly in the far face of a box leaves it at t = 0 by Embree's slab test, and a
+// hit of a triangle that touches this face is then found or not as the layout has it. So a hit
+// counts only if the slab test of the triangle's own box admits it on the parallel axes: every box
+// around the triangle then admits it too, as the test is monotone in the box.
+bool own_box_admits(const QueryContext& context, const MeshArrays& arrays, std::uint32_t primitive,
+                    float t) {
+  constexpr float kReciprocalMax = 1e18F;  // Embree's bound on 1 / 0
+  const Vec3 a = vertex_at(arrays, primitive, 0);
+  const Vec3 b = vertex_at(arrays, primitive, 1);
+  const Vec3 c = vertex_at(arrays, primitive, 2);
+  for (int axis = 0; axis < 3; ++axis) {
+    if ((context.parallel_axes >> axis & 1U) == 0) { continue; }
+    const float direction = context.query->ray.direction[axis];
+    const float reciprocal = std::min(1.0F / std::abs(direction), kReciprocalMax) *
+                             (std::signbit(direction) ? -1.0F : 1.0F);
+    const float origin = context.query->ray.origin[axis];
+    const float t_low = (std::min({a[axis], b[axis], c[axis]}) - origin) * reciprocal;
+    const float t_high = (std::max({a[axis], b[axis], c[axis]}) - origin) * reciprocal;
+    if (!(std::min(t_low, t_high) <= t && t <= std::max(t_low, t_high))) { return false; }
+  }
+  return true;
+}
+
+void refuse_ambiguous_blocker(const RTCFilterFunctionNArguments* arguments) {
+  const auto& context = *static_cast<const QueryContext*>(arguments->context);
+  if (context.parallel_axes == 0) { return; }
+  const auto* geometry = static_cast<const Geometry*>(arguments->geometryUserPtr);
+  const auto& ray = *reinterpret_cast<const RTCRay*>(arguments->ray);
+  const auto& hit = *reinterpret_cast<const RTCHit*>(arguments->hit);
+  if (!own_box_admits(context, geometry->arrays, hit.primID, ray.tfar)) { arguments->valid[0] = 0; }
+}
+
+void keep_lowest_hit(const RTCFilterFunctionNArguments* arguments) {
+  auto& context = *static_cast<QueryContext*>(arguments->context);
+  RayQuery& query = *context.query;
+  const auto* geometry = static_cast<const Geometry*>(arguments->geometryUserPtr);
+  auto& ray = *reinterpret_cast<RTCRay*>(arguments->ray);
+  const auto& hit = *reinterpret_cast<const RTCHit*>(arguments->hit);
+  const float t = ray.tfar;
+  if (context.parallel_axes != 0 && !own_box_admits(context, geometry->arrays, hit.primID, t)) {
+    arguments->valid[0] = 0;
+    return;
+  }
+  const std::uint32_t triangle = geometry->arrays.triangles[hit.primID];
+  if (t < query.t_best || (t == query.t_best && triangle < query.triangle_best)) {
+    query.t_best = t;
+    query.triangle_best = triangle;
+    context.geometry = geometry;
+    context.primitive = hit.primID;
+    context.u = hit.u;
+    context.v = hit.v;
+  }
+  ray.tfar = std::min(widened(query.t_best), query.ray.t_max);
+}
+
+RTCGeometry new_triangle_geometry(RTCDevice device, const Geometry& geometry) {
+  const MeshArrays& arrays = geometry.arrays;
+  RTCGeometry embree = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
+  rtcSetSharedGeometryBuffer(embree, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3,
+                             arrays.positions.data(), 0, 3 * sizeof(float),
+                             arrays.positions.size() / 3);
+  rtcSetSharedGeometryBuffer(embree, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3,
+                             arrays.indices.data(), 0, 3 * sizeof(std::uint32_t),
+                             arrays.triangles.size());
+  rtcSetGeometryUserData(embree, const_cast<Geometry*>(&geometry));
+  rtcSetGeometryIntersectFilterFunction(embree, keep_lowest_hit);
+  rtcSetGeometryOccludedFilterFunction(embree, refuse_ambiguous_blocker);
+  rtcSetGeometryMask(embree, 0xFFFFFFFFU);
+  rtcCommitGeometry(embree);
+  return embree;
+}
+
+RTCRay make_ray(const RayQuery& query) {
+  RTCRay ray{};
+  ray.org_x = query.ray.origin.x;
+  ray.org_y = query.ray.origin.y;
+  ray.org_z = query.ray.origin.z;
+  ray.dir_x = query.ray.direction.x;
+  ray.dir_y = query.ray.direction.y;
+  ray.dir_z = query.ray.direction.z;
+  ray.tnear = query.ray.t_min;
+  ray.tfar = query.ray.t_max;
+  if (!query.any_hit && query.has_hit()) {
+    ray.tfar = std::min(widened(query.t_best), query.ray.t_max);
+  }
+  ray.mask = 0xFFFFFFFFU;
+  return ray;
+}
+
+void note_missing(RayQuery& query, const MissingVoxel& missing) {
+  std::size_t place = query.missing_count;
+  if (place == RayQuery::kMissingMax) {
+    query.missing_overflow = true;
+    if (!(missing < query.missing.back())) { return; }
+    --place;
+  } else {
+    ++query.missing_count;
+  }
+  while (place > 0 && missing < query.missing[place - 1]) {
+    query.missing[place] = query.missing[place - 1];
+    --place;
+  }
+  query.missing[place] = missing;
+}
+
+void pop_missing(RayQuery& query) {
+  std::copy(query.missing.begin() + 1, query.missing.begin() + query.missing_count,
+            query.missing.begin());
+  --query.missing_count;
+}
+
+Vec3 shading_normal(const MeshArrays& arrays, std::uint32_t primitive,
+                    const std::array<float, 3>& weights, const Vec3& normal_geometric) {
+  if (arrays.normals.empty()) { return normal_geometric; }
+  Vec3 sum(0.0F);
+  for (unsigned corner = 0; corner < 3; ++corner) {
+    const std::uint32_t code = arrays.normals[arrays.indices[std::size_t{primitive} * 3 + corner]];
+    if (code == 0) { return normal_geometric; }
+    sum += decode_normal(code) * weights[corner];
+  }
+  const float length_squared = glm::dot(sum, sum);
+  if (!(length_squared > 1e-12F)) { return normal_geometric; }
+  const Vec3 normal = sum / std::sqrt(length_squared);
+  return glm::dot(normal, normal_geometric) < 0.0F ? -normal : normal;
+}
+
+// Error bounds as pbrt-v4 section 6.8.4, equation 6.25: gamma(7) times the sum of magnitudes.
+void fill_surface(const QueryContext& context, RayQuery& query) {
+  const MeshArrays& arrays = context.geometry->arrays;
+  const std::array<float, 3> weights{1.0F - context.u - context.v, context.u, context.v};
+  const Vec3 a = vertex_at(arrays, context.primitive, 0);
+  const Vec3 b = vertex_at(arrays, context.primitive, 1);
+  const Vec3 c = vertex_at(arrays, context.primitive, 2);
+  SurfaceHit& surface = query.surface;
+  surface.position = a * weights[0] + b * weights[1] + c * weights[2];
+  const Vec3 magnitude =
+      glm::abs(a * weights[0]) + glm::abs(b * weights[1]) + glm::abs(c * weights[2]);
+  constexpr float kGamma7 = 4.1723277e-07F;
+  surface.position_error = kGamma7 * std::max({magnitude.x, magnitude.y, magnitude.z});
+  // In double, as the cross product of small edges would lose its bits or underflow in float.
+  const Vec3d normal = glm::cross(Vec3d(b) - Vec3d(a), Vec3d(c) - Vec3d(a));
+  const double length = std::sqrt(glm::dot(normal, normal));
+  surface.normal_geometric = Vec3(normal / length);
+  surface.normal_shading =
+      shading_normal(arrays, context.primitive, weights, surface.normal_geometric);
+  surface.distance = query.t_best;
+  surface.triangle = query.triangle_best;
+  surface.material = arrays.materials[context.primitive];
+}
+
+const char* choose_isa() { return __builtin_cpu_supports("avx2") ? "avx2" : "sse4.2"; }
+
+}  // namespace
+
+const char* tracing_isa() {
+  static const char* const isa = choose_isa();
+  return isa;
+}
+
+struct TracingDevice::Impl {
+  RTCDevice device = nullptr;
+  std::atomic<std::int64_t> bytes{0};
+  std::atomic<std::int64_t> bytes_peak{0};
+  std::mutex error_mutex;
+  std::string error;
+};
+
+namespace {
+
+bool count_memory(void* user, ssize_t bytes, bool /*post*/) {
+  auto& impl = *static_cast<TracingDevice::Impl*>(user);
+  const std::int64_t now = impl.bytes.fetch_add(bytes, std::memory_order_relaxed) + bytes;
+  std::int64_t peak = impl.bytes_peak.load(std::memory_order_relaxed);
+  while (now > peak && !impl.bytes_peak.compare_exchange_weak(peak, now)) {}
+  return true;
+}
+
+void keep_error(void* user, RTCError code, const char* text) {
+  auto& impl = *static_cast<TracingDevice::Impl*>(user);
+  const std::lock_guard lock(impl.error_mutex);
+  spdlog::error("event=embree_error code={} text=\"{}\"", static_cast<int>(code), text);
+  if (impl.error.empty()) { impl.error = text; }
+}
+
+}  // namespace
+
+TracingDevice::TracingDevice(unsigned build_threads) : impl_(std::make_unique<Impl>()) {
+  const std::string config = std::string("isa=") + tracing_isa() +
+                             ",threads=" + std::to_string(build_threads) +
+                             ",set_affinity=0,start_threads=0";
+  impl_->device = rtcNewDevice(config.c_str());
+  CHECK(impl_->device != nullptr);
+  rtcSetDeviceErrorFunction(impl_->device, keep_error, impl_.get());
+  rtcSetDeviceMemoryMonitorFunction(impl_->device, count_memory, impl_.get());
+}
+
+TracingDevice::~TracingDevice() { rtcReleaseDevice(impl_->device); }
+
+std::uint64_t TracingDevice::bytes() const {
+  return static_cast<std::uint64_t>(std::max<std::int64_t>(0, impl_->bytes.load()));
+}
+std::uint64_t TracingDevice::bytes_peak() const {
+  return static_cast<std::uint64_t>(std::max<std::int64_t>(0, impl_->bytes_peak.load()));
+}
+void TracingDevice::reset_peak() { impl_->bytes_peak.store(impl_->bytes.load()); }
+std::string TracingDevice::take_error() {
+  const std::lock_guard lock(impl_->error_mutex);
+  return std::exchange(impl_->error, {});
+}
+
+struct VoxelMesh::Impl {
+  Geometry geometry{};
+  RTCScene scene = nullptr;
+};
+
+VoxelMesh::VoxelMesh(TracingDevice& device, const VoxelBlockView& block)
+    : impl_(std::make_unique<Impl>()) {
+  impl_->geometry.arrays = {block.positions, block.normals, block.indices, block.triangles,
+                            block.materials};
+  RTCDevice embree = device.impl().device;
+  impl_->scene = rtcNewScene(embree);
+  rtcSetSceneFlags(impl_->scene, RTC_SCENE_FLAG_ROBUST);
+  rtcSetSceneBuildQuality(impl_->scene, RTC_BUILD_QUALITY_MEDIUM);
+  RTCGeometry geometry = new_triangle_geometry(embree, impl_->geometry);
+  rtcAttachGeometry(impl_->scene, geometry);
+  rtcReleaseGeometry(geometry);
+  rtcCommitScene(impl_->scene);
+}
+
+VoxelMesh::~VoxelMesh() { rtcReleaseScene(impl_->scene); }
+
+HotMesh::HotMesh(const SceneTables& tables, std::span<const VoxelId> voxels) {
+  std::size_t triangle_count = 0;
+  std::size_t vertex_bytes = 0;
+  for (const VoxelId voxel : voxels) {
+    const VoxelEntry& entry = tables.voxels[index_of(voxel)];
+    triangle_count += entry.triangle_count;
+    vertex_bytes += entry.block_bytes - voxel_block_bytes(0, entry.triangle_count, false);
+  }
+  // A vertex takes 12 bytes without a normal and 16 with one; blocks of both kinds may be mixed.
+  positions_.reserve(vertex_bytes / sizeof(float) + 4);
+  indices_.reserve(triangle_count * 3);
+  triangles_.reserve(triangle_count);
+  materials_.reserve(triangle_count);
+  if (!voxels.empty()) { seen_.resize(tables.triangle_count); }
+}
+
+void HotMesh::add(const VoxelBlockView& block) {
+  const auto vertex_offset = static_cast<std::uint32_t>(positions_.size() / 3);
+  const std::size_t vertex_count = block.positions.size() / 3;
+  positions_.insert(positions_.end(), block.positions.begin(), block.positions.end());
+  if (!block.normals.empty() && !has_normals_) {
+    has_normals_ = true;
+    normals_.reserve(positions_.capacity() / 3);
+    normals_.resize(vertex_offset);
+  }
+  if (has_normals_) {
+    if (block.normals.empty()) {
+      normals_.resize(vertex_offset + vertex_count);
+    } else {
+      normals_.insert(normals_.end(), block.normals.begin(), block.normals.end());
+    }
+  }
+  for (std::size_t index = 0; index < block.triangles.size(); ++index) {
+    const std::uint32_t triangle = block.triangles[index];
+    if (seen_[triangle]) { continue; }
+    seen_[triangle] = true;
+    for (std::size_t corner = 0; corner < 3; ++corner) {
+      indices_.push_back(block.indices[index * 3 + corner] + vertex_offset);
+    }
+    triangles_.push_back(triangle);
+    materials_.push_back(block.materials[index]);
+  }
+}
+
+MeshArrays HotMesh::arrays() const {
+  return {positions_, normals_, indices_, triangles_, materials_};
+}
+
+std::uint64_t HotMesh::bytes() const {
+  return positions_.capacity() * sizeof(float) +
+         (normals_.capacity() + indices_.capacity() + triangles_.capacity() +
+          materials_.capacity()) *
+             sizeof(std::uint32_t) +
+         seen_.capacity() / 8;
+}
+
+struct Residency::Impl {
+  const SceneTables* tables = nullptr;
+  ResidentTable* resident = nullptr;
+  std::vector<VoxelId> cold{};  // user primitive -> voxel
+  Geometry hot_geometry{};
+  RTCScene scene = nullptr;
+};
+
+namespace {
+
+void box_bounds(const RTCBoundsFunctionArguments* arguments) {
+  const auto& residency = *static_cast<const Residency::Impl*>(arguments->geometryUserPtr);
+  const Aabb& box = residency.tables->voxels[index_of(residency.cold[arguments->primID])].bounds;
+  RTCBounds& bounds = *arguments->bounds_o;
+  bounds.lower_x = box.low.x;
+  bounds.lower_y = box.low.y;
+  bounds.lower_z = box.low.z;
+  bounds.upper_x = box.high.x;
+  bounds.upper_y = box.high.y;
+  bounds.upper_z = box.high.z;
+}
+
+// The resident mesh of a cold voxel that the ray enters, or nullptr with the voxel noted or
+// outside.
+const VoxelMesh* enter_voxel(QueryContext& context, std::uint32_t primitive, const RTCRay& ray) {
+  const Residency::Impl& residency = *context.residency;
+  const VoxelId voxel = residency.cold[primitive];
+  RayQuery& query = *context.query;
+  const Interval span = clip({query.ray.origin, query.ray.direction, ray.tnear, ray.tfar},
+                             residency.tables->voxels[index_of(voxel)].bounds);
+  if (span.is_empty()) { return nullptr; }
+  if (const VoxelMesh* mesh = residency.resident->lookup(voxel)) {
+    residency.resident->touch(voxel, context.stamp);
+    return mesh;
+  }
+  const MissingVoxel missing{span.t_enter, voxel};
+  if (query.tested_up_to < missing) { note_missing(query, missing); }
+  return nullptr;
+}
+
+void box_intersect(const RTCIntersectFunctionNArguments* arguments) {
+  arguments->valid[0] = 0;
+  auto& context = *static_cast<QueryContext*>(arguments->context);
+  auto& ray_hit = *reinterpret_cast<RTCRayHit*>(arguments->rayhit);
+  const VoxelMesh* mesh = enter_voxel(context, arguments->primID, ray_hit.ray);
+  if (mesh == nullptr) { return; }
+  const float t_far = ray_hit.ray.tfar;
+  intersect(mesh->impl().scene, context, ray_hit);
+  arguments->valid[0] = ray_hit.ray.tfar < t_far ? -1 : 0;
+}
+
+void box_occluded(const RTCOccludedFunctionNArguments* arguments) {
+  arguments->valid[0] = 0;
+  auto& context = *static_cast<QueryContext*>(arguments->context);
+  auto& ray = *reinterpret_cast<RTCRay*>(arguments->ray);
+  const VoxelMesh* mesh = enter_voxel(context, arguments->primID, ray);
+  if (mesh == nullptr) { return; }
+  occluded(mesh->impl().scene, context, ray);
+  arguments->valid[0] = ray.tfar < 0.0F ? -1 : 0;
+}
+
+QueryContext make_context(const Residency::Impl& residency, RayQuery& query) {
+  QueryContext context;
+  init_context(context);
+  context.residency = &residency;
+  context.query = &query;
+  context.stamp = residency.resident->stamp();
+  context.parallel_axes = parallel_axes(query.ray.direction);
+  return context;
+}
+
+void query_scene(RTCScene scene, QueryContext& context, RayQuery& query) {
+  if (query.any_hit) {
+    RTCRay ray = make_ray(query);
+    occluded(scene, context, ray);
+    query.blocked |= ray.tfar < 0.0F;
+    return;
+  }
+  RTCRayHit ray_hit{};
+  ray_hit.ray = make_ray(query);
+  ray_hit.hit.geomID = RTC_INVALID_GEOMETRY_ID;
+  ray_hit.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
+  intersect(scene, context, ray_hit);
+  if (context.geometry != nullptr) { fill_surface(context, query); }
+}
+
+bool is_final(const RayQuery& query) {
+  if (query.any_hit && query.blocked) { return true; }
+  return query.missing_count == 0 || is_before(query.t_best, query.missing[0].t_enter);
+}
+
+}  // namespace
+
+Residency::Residency(TracingDevice& device, const HotMesh& hot, const SceneTables& tables,
+                     std::span<const VoxelId> cold, ResidentTable& resident)
+    : impl_(std::make_unique<Impl>()) {
+  impl_->tables = &tables;
+  impl_->resident = &resident;
+  impl_->cold.assign(cold.begin(), cold.end());
+  impl_->hot_geometry.arrays = hot.arrays();
+  RTCDevice embree = device.impl().device;
+  impl_->scene = rtcNewScene(embree);
+  rtcSetSceneFlags(impl_->scene, RTC_SCENE_FLAG_ROBUST);
+  rtcSetSceneBuildQuality(impl_->scene, RTC_BUILD_QUALITY_MEDIUM);
+  if (!impl_->hot_geometry.arrays.triangles.empty()) {
+    RTCGeometry geometry = new_triangle_geometry(embree, impl_->hot_geometry);
+    rtcAttachGeometry(impl_->scene, geometry);
+    rtcReleaseGeometry(geometry);
+  }
+  if (!cold.empty()) {
+    RTCGeometry boxes = rtcNewGeometry(embree, RTC_GEOMETRY_TYPE_USER);
+    rtcSetGeometryUserPrimitiveCount(boxes, static_cast<unsigned>(cold.size()));
+    rtcSetGeometryUserData(boxes, impl_.get());
+    rtcSetGeometryBoundsFunction(boxes, box_bounds, nullptr);
+    rtcSetGeometryIntersectFunction(boxes, box_intersect);
+    rtcSetGeometryOccludedFunction(boxes, box_occluded);
+    rtcSetGeometryMask(boxes, 0xFFFFFFFFU);
+    rtcCommitGeometry(boxes);
+    rtcAttachGeometry(impl_->scene, boxes);
+    rtcReleaseGeometry(boxes);
+  }
+  rtcCommitScene(impl_->scene);
+}
+
+Residency::~Residency() { rtcReleaseScene(impl_->scene); }
+
+Residency::Answer Residency::trace(RayQuery& query) const {
+  QueryContext context = make_context(*impl_, query);
+  query.missing_count = 0;
+  query.missing_overflow = false;
+  query_scene(impl_->scene, context, query);
+  return is_final(query) ? Answer::kFinal : Answer::kWaiting;
+}
+
+Residency::Answer Residency::resume(RayQuery& query) const {
+  for (;;) {
+    while (!is_final(query)) {
+      const MissingVoxel next = query.missing[0];
+      const VoxelMesh* mesh = impl_->resident->lookup(next.voxel);
+      if (mesh == nullptr) { return Answer::kWaiting; }
+      QueryContext context = make_context(*impl_, query);
+      impl_->resident->touch(next.voxel, context.stamp);
+      query_scene(mesh->impl().scene, context, query);
+      query.tested_up_to = next;
+      pop_missing(query);
+    }
+    if (query.missing_count > 0 || query.blocked || !query.missing_overflow) {
+      return Answer::kFinal;
+    }
+    if (trace(query) == Answer::kFinal) { return Answer::kFinal; }
+  }
+}
+
+}  // namespace preheat

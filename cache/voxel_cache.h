@@ -1,0 +1,106 @@
+// Decides which cold voxels a worker holds, raw or built, and never lets them exceed a byte limit.
+//
+// A state machine without Embree, threads or clocks. Per voxel:
+//
+//   absent -> fetching -> raw -> building -> built -> withdrawing -> raw -> absent
+//
+// A voxel that rays wait for is admitted when its whole resident size (block and BVH bound) can be
+// had; what is admitted is never evicted before it has served the rays that waited for it. So
+// admitted voxels always come to an end, and a limit of one voxel still renders: they are admitted
+// in turn. Room is made from the voxel that was used longest ago: first its BVH goes, then its
+// block. Invariant: promised_bytes() <= limit_bytes, and held_bytes() <= promised_bytes(). Threads:
+// none of its own; the owner locks.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <span>
+#include <utility>
+#include <vector>
+
+#include "common/scene_tables.h"
+
+namespace preheat {
+
+class VoxelCache {
+ public:
+  enum class Action : std::uint8_t {
+    kFetch,      // get the block, then call block_arrived
+    kBuild,      // build the BVH, then call built
+    kWithdraw,   // take the mesh out of use and free it, then call withdrawn
+    kDropBlock,  // free the block; done at once
+  };
+  struct Command {
+    Action action{};
+    VoxelId voxel{};
+    friend bool operator==(const Command&, const Command&) = default;
+  };
+  struct Counts {
+    std::uint64_t fetches = 0;  // blocks that arrived
+    std::uint64_t fetched_bytes = 0;
+    std::uint64_t rebuilds = 0;   // builds from a block that was held already
+    std::uint64_t evictions = 0;  // blocks or BVHs given up
+  };
+
+  // `voxels` outlives this. `last_used(v)` ranks evictions: the lowest goes first.
+  VoxelCache(std::span<const VoxelEntry> voxels, std::uint64_t limit_bytes,
+             std::function<std::uint64_t(VoxelId)> last_used);
+
+  // Commands to carry out after the calls since the last step, in this order. At most
+  // `commands_under_way_max` fetches and builds run at a time.
+  [[nodiscard]] std::vector<Command> step();
+
+  // Rays began to wait for a voxel, or have been served.
+  void add_waiting(VoxelId voxel, std::uint64_t rays);
+  void served(VoxelId voxel, std::uint64_t rays);
+
+  // False if the voxel was not being fetched: the caller drops the bytes.
+  [[nodiscard]] bool block_arrived(VoxelId voxel);
+  void built(VoxelId voxel, std::uint64_t bvh_bytes);
+  void withdrawn(VoxelId voxel);
+
+  [[nodiscard]] bool is_built(VoxelId voxel) const {
+    return slots_[index_of(voxel)].state == State::kBuilt;
+  }
+  [[nodiscard]] std::uint64_t limit_bytes() const { return limit_bytes_; }
+  [[nodiscard]] std::uint64_t promised_bytes() const { return promised_bytes_; }
+  [[nodiscard]] std::uint64_t held_bytes() const { return held_bytes_; }
+  [[nodiscard]] std::uint64_t held_bytes_peak() const { return held_bytes_peak_; }
+  [[nodiscard]] const Counts& counts() const { return counts_; }
+
+  static constexpr std::size_t kCommandsUnderWayMax = 16;
+
+ private:
+  enum class State : std::uint8_t { kAbsent, kFetching, kRaw, kBuilding, kBuilt, kWithdrawing };
+  struct Slot {
+    State state = State::kAbsent;
+    bool held_before = false;     // the block was there before the build was asked for
+    std::uint64_t bvh_bytes = 0;  // promised until built, then real
+    std::uint64_t waiting = 0;
+  };
+
+  // Makes room for `bytes` more beside `kept`, by commands; false if it must wait for withdrawals
+  // under way or for admitted voxels to be served.
+  [[nodiscard]] bool make_room(VoxelId kept, std::uint64_t bytes, std::vector<Command>& commands);
+  [[nodiscard]] std::vector<VoxelId>::iterator find_victim(VoxelId kept);
+  [[nodiscard]] std::uint64_t bvh_bytes_bound(VoxelId voxel) const;
+  [[nodiscard]] std::uint64_t block_bytes(VoxelId voxel) const {
+    return voxels_[index_of(voxel)].block_bytes;
+  }
+  void hold(std::uint64_t bytes);
+
+  std::span<const VoxelEntry> voxels_;
+  std::uint64_t limit_bytes_;
+  std::function<std::uint64_t(VoxelId)> last_used_;
+  std::vector<Slot> slots_;
+  std::vector<VoxelId> wanted_;    // waited for and not yet admitted
+  std::vector<VoxelId> occupied_;  // every voxel that is not absent
+  std::uint64_t promised_bytes_ = 0;
+  std::uint64_t held_bytes_ = 0;
+  std::uint64_t held_bytes_peak_ = 0;
+  std::uint64_t withdrawing_bytes_ = 0;  // comes back without a further command
+  std::size_t under_way_ = 0;
+  Counts counts_{};
+};
+
+}  // namespace preheat

@@ -1,0 +1,251 @@
+#include "master/lease_table.h"
+
+#include <algorithm>
+
+#include "common/check.h"
+
+namespace preheat {
+
+LeaseTable::LeaseTable(const TileGrid& grid, Duration lease_min, std::uint64_t seed)
+    : lease_min_(lease_min), random_(seed), scheduler_(grid), tiles_(grid.count()) {}
+
+void LeaseTable::add_worker(WorkerId worker) {
+  if (!live_by_worker_.try_emplace(worker).second) { return; }
+  for (auto& [tile, workers] : deaths_) { std::erase(workers, worker); }
+}
+
+void LeaseTable::remove_worker(WorkerId worker) {
+  const auto entry = live_by_worker_.find(worker);
+  if (entry == live_by_worker_.end()) { return; }
+  const std::unordered_set<LeaseId> leases = std::move(entry->second);
+  live_by_worker_.erase(entry);
+  for (const LeaseId lease : leases) { end_live(lease); }
+}
+
+std::vector<TileId> LeaseTable::worker_died(WorkerId worker) {
+  std::vector<TileId> poisoned_now;
+  for (const Lease& lease : held_by(worker)) {
+    TileState& tile = tiles_[index_of(lease.tile)];
+    std::vector<WorkerId>& deaths = deaths_[lease.tile];
+    if (std::find(deaths.begin(), deaths.end(), worker) == deaths.end()) {
+      deaths.push_back(worker);
+    }
+    // A committed tile is rendered again only to settle a dispute, which it is not worth dying for.
+    if (deaths.size() < kDeathsMax) { continue; }
+    if (tile.committed) {
+      disputes_.erase(lease.tile);
+    } else if (!tile.poisoned) {
+      tile.poisoned = true;
+      poisoned_.push_back(lease.tile);
+      poisoned_now.push_back(lease.tile);
+    }
+  }
+  remove_worker(worker);
+  return poisoned_now;
+}
+
+std::size_t LeaseTable::deaths_of(TileId tile) const {
+  const auto deaths = deaths_.find(tile);
+  return deaths == deaths_.end() ? 0 : deaths->second.size();
+}
+
+bool LeaseTable::may_lease(WorkerId worker, TileId tile) const {
+  if (deaths_of(tile) + 1 >= kDeathsMax && held_count(worker) > 0) { return false; }
+  const auto dispute = disputes_.find(tile);
+  if (dispute == disputes_.end()) { return true; }
+  const auto& parties = dispute->second.workers;
+  return std::find(parties.begin(), parties.end(), worker) == parties.end();
+}
+
+std::optional<Lease> LeaseTable::grant(WorkerId worker, Time now) {
+  const auto entry = live_by_worker_.find(worker);
+  CHECK(entry != live_by_worker_.end());
+  // A suspect tile is alone with its worker.
+  for (const LeaseId held : entry->second) {
+    if (deaths_of(leases_.at(held).tile) + 1 >= kDeathsMax) { return std::nullopt; }
+  }
+  const std::optional<TileId> tile =
+      scheduler_.next([this, worker](TileId candidate) { return may_lease(worker, candidate); });
+  if (!tile) { return std::nullopt; }
+  LeaseId id{random_()};
+  while (leases_.contains(id)) { id = LeaseId{random_()}; }
+  leases_[id] = {*tile, worker, now, now + lease_length(), true};
+  entry->second.insert(id);
+  TileState& state = tiles_[index_of(*tile)];
+  state.live_lease = id;
+  state.has_live = true;
+  ++stats_.granted;
+  return Lease{id, *tile};
+}
+
+void LeaseTable::progress(WorkerId worker, Time now) {
+  const auto entry = live_by_worker_.find(worker);
+  if (entry == live_by_worker_.end()) { return; }
+  const Time deadline = now + lease_length();
+  for (const LeaseId lease : entry->second) {
+    Record& record = leases_.at(lease);
+    record.deadline = std::max(record.deadline, deadline);
+  }
+}
+
+void LeaseTable::end_live(LeaseId lease) {
+  Record& record = leases_.at(lease);
+  CHECK(record.live);
+  record.live = false;
+  const auto holder = live_by_worker_.find(record.worker);
+  if (holder != live_by_worker_.end()) { holder->second.erase(lease); }
+  TileState& tile = tiles_[index_of(record.tile)];
+  tile.has_live = false;
+  const bool settled = tile.poisoned || (tile.committed && !disputes_.contains(record.tile));
+  if (!settled) { scheduler_.give_back(record.tile); }
+}
+
+std::vector<std::pair<WorkerId, Lease>> LeaseTable::expire(Time now) {
+  std::vector<std::pair<WorkerId, Lease>> expired;
+  for (const auto& [worker, leases] : live_by_worker_) {
+    for (const LeaseId lease : leases) {
+      const Record& record = leases_.at(lease);
+      if (record.deadline <= now) { expired.emplace_back(worker, Lease{lease, record.tile}); }
+    }
+  }
+  // Hash maps have no order that two runs share; ledgers and tests want one.
+  std::sort(expired.begin(), expired.end(),
+            [](const auto& a, const auto& b) { return a.second.tile < b.second.tile; });
+  for (const auto& [worker, lease] : expired) {
+    end_live(lease.id);
+    ++stats_.expired;
+  }
+  return expired;
+}
+
+void LeaseTable::extend_all(Duration gap) {
+  for (auto& [id, record] : leases_) { record.deadline += gap; }
+}
+
+LeaseVerdict LeaseTable::result(WorkerId worker, LeaseId lease, const Hash128& hash, Time now) {
+  const auto entry = leases_.find(lease);
+  if (entry == leases_.end() || entry->second.worker != worker) { return {}; }
+  const Record record = entry->second;
+  TileState& tile = tiles_[index_of(record.tile)];
+  if (record.live) {
+    keep_duration(now - record.granted);
+    live_by_worker_.at(worker).erase(lease);
+    tile.has_live = false;
+  }
+  leases_.erase(entry);
+
+  LeaseVerdict verdict;
+  verdict.outcome = judge(worker, record.tile, hash);
+  const bool disputed = disputes_.contains(record.tile);
+  if (!disputed) {
+    scheduler_.remove(record.tile);
+    if (tile.has_live) {
+      const LeaseId other = tile.live_lease;
+      verdict.cancelled = {leases_.at(other).worker, Lease{other, record.tile}};
+      end_live(other);
+    }
+  } else if (!tile.has_live) {
+    scheduler_.remove(record.tile);
+    scheduler_.give_back(record.tile);
+  }
+  return verdict;
+}
+
+// Commits, compares or settles.
+ResultOutcome LeaseTable::judge(WorkerId worker, TileId id, const Hash128& hash) {
+  TileState& tile = tiles_[index_of(id)];
+  if (!tile.committed) {
+    tile.committed = true;
+    tile.hash = hash;
+    tile.worker = worker;
+    ++tiles_committed_;
+    if (tile.poisoned) {  // somebody lived to tell
+      tile.poisoned = false;
+      std::erase(poisoned_, id);
+    }
+    return ResultOutcome::kCommitted;
+  }
+  const auto dispute = disputes_.find(id);
+  if (hash == tile.hash) {
+    ++stats_.duplicates;
+    const bool a_third = dispute != disputes_.end() && worker != dispute->second.workers[0] &&
+                         worker != dispute->second.workers[1];
+    if (a_third) { disputes_.erase(dispute); }
+    return ResultOutcome::kDuplicate;
+  }
+  if (dispute == disputes_.end()) {
+    ++stats_.mismatches;
+    // Who contradicts himself is no witness: the committed result stays.
+    if (worker != tile.worker) { disputes_[id] = {{tile.worker, worker}, hash}; }
+    return ResultOutcome::kMismatch;
+  }
+  const Dispute parties = dispute->second;
+  if (worker == parties.workers[0] || worker == parties.workers[1]) {
+    return ResultOutcome::kMismatch;
+  }
+  disputes_.erase(dispute);
+  if (hash != parties.other) {
+    ++stats_.mismatches;
+    return ResultOutcome::kMismatch;
+  }
+  tile.hash = hash;
+  tile.worker = worker;
+  return ResultOutcome::kReplaced;
+}
+
+std::optional<TileId> LeaseTable::tile_of(WorkerId worker, LeaseId lease) const {
+  const auto entry = leases_.find(lease);
+  if (entry == leases_.end() || entry->second.worker != worker) { return std::nullopt; }
+  return entry->second.tile;
+}
+
+std::vector<Lease> LeaseTable::held_by(WorkerId worker) const {
+  std::vector<Lease> held;
+  const auto entry = live_by_worker_.find(worker);
+  if (entry == live_by_worker_.end()) { return held; }
+  for (const LeaseId lease : entry->second) { held.push_back({lease, leases_.at(lease).tile}); }
+  std::sort(held.begin(), held.end(),
+            [](const Lease& a, const Lease& b) { return a.tile < b.tile; });
+  return held;
+}
+
+std::size_t LeaseTable::held_count(WorkerId worker) const {
+  const auto entry = live_by_worker_.find(worker);
+  return entry == live_by_worker_.end() ? 0 : entry->second.size();
+}
+
+std::optional<Time> LeaseTable::granted_at(LeaseId lease) const {
+  const auto entry = leases_.find(lease);
+  if (entry == leases_.end() || !entry->second.live) { return std::nullopt; }
+  return entry->second.granted;
+}
+
+bool LeaseTable::finished() const {
+  if (tiles_committed_ + poisoned_.size() < tiles_.size()) { return false; }
+  for (const auto& [tile, dispute] : disputes_) {
+    if (tiles_[index_of(tile)].has_live) { return false; }
+    for (const auto& [worker, leases] : live_by_worker_) {
+      if (worker != dispute.workers[0] && worker != dispute.workers[1]) { return false; }
+    }
+  }
+  return true;
+}
+
+void LeaseTable::keep_duration(Duration duration) {
+  if (durations_.size() < kDurationsKept) {
+    durations_.push_back(duration);
+    return;
+  }
+  durations_[durations_next_] = duration;
+  durations_next_ = (durations_next_ + 1) % kDurationsKept;
+}
+
+Duration LeaseTable::lease_length() const {
+  if (durations_.empty()) { return lease_min_; }
+  std::vector<Duration> sorted = durations_;
+  const auto p95 = sorted.begin() + static_cast<std::ptrdiff_t>((sorted.size() - 1) * 95 / 100);
+  std::nth_element(sorted.begin(), p95, sorted.end());
+  return std::max(lease_min_, 4 * *p95);
+}
+
+}  // namespace preheat

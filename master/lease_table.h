@@ -1,0 +1,131 @@
+// Who renders which tile until when, and which result counts: tiles are executed at least once and
+// committed exactly once.
+//
+// A lease is granted to one worker until a deadline that its progress moves on. A lease that ends
+// without a result gives its tile back, but is remembered: its result may still come, is the first
+// one and commits, or is compared with the committed one and dropped. Two different results for one
+// tile make the tile disputed: a third worker renders it again and the majority stays.
+// A tile that three workers died on is poisoned and given up; to be sure that it was this tile that
+// killed the third, a tile with two deaths is leased to a worker that has no other.
+// Pure: time is an argument, lease ids come from a seeded generator.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <optional>
+#include <random>
+#include <unordered_map>
+#include <unordered_set>
+#include <vector>
+
+#include "common/clock.h"
+#include "common/messages.h"
+#include "common/render_settings.h"
+#include "master/master.h"
+#include "master/tile_scheduler.h"
+
+namespace preheat {
+
+enum class ResultOutcome : std::uint8_t {
+  kCommitted,  // the first result of its tile
+  kReplaced,   // settles a dispute against the committed one: take this one's pixels
+  kDuplicate,  // equal to the committed one
+  kMismatch,   // differs from the committed one, which stays
+  kUnknown     // no lease of this worker's: neither looked at nor counted
+};
+
+struct LeaseVerdict {
+  ResultOutcome outcome = ResultOutcome::kUnknown;
+  // Another lease of the same tile that is pointless now, and whose it is.
+  std::optional<std::pair<WorkerId, Lease>> cancelled{};
+};
+
+class LeaseTable {
+ public:
+  LeaseTable(const TileGrid& grid, Duration lease_min, std::uint64_t seed);
+
+  // A worker may hold leases from now on. Not news if it may already; if it was thought dead, no tile
+  // killed it.
+  void add_worker(WorkerId worker);
+  // It left in good order, or it died: its tiles are pending again. Returns the tiles that are
+  // poisoned by this death.
+  void remove_worker(WorkerId worker);
+  std::vector<TileId> worker_died(WorkerId worker);
+
+  // Leases one more tile to the worker; nothing if none is pending for it. Requires: add_worker.
+  [[nodiscard]] std::optional<Lease> grant(WorkerId worker, Time now);
+
+  // The worker's renderer moved on: its deadlines do too.
+  void progress(WorkerId worker, Time now);
+
+  // Ends the leases whose deadline has passed.
+  std::vector<std::pair<WorkerId, Lease>> expire(Time now);
+
+  // The master itself stood still: no deadline counts that time.
+  void extend_all(Duration gap);
+
+  // A whole and sound result has arrived. Whoever sent it, a lease id is good once.
+  [[nodiscard]] LeaseVerdict result(WorkerId worker, LeaseId lease, const Hash128& hash, Time now);
+
+  // The tile of a lease that this worker holds or held, if its result is still of interest.
+  [[nodiscard]] std::optional<TileId> tile_of(WorkerId worker, LeaseId lease) const;
+
+  // The worker's live leases.
+  [[nodiscard]] std::vector<Lease> held_by(WorkerId worker) const;
+  [[nodiscard]] std::size_t held_count(WorkerId worker) const;
+  // When a live lease was granted.
+  [[nodiscard]] std::optional<Time> granted_at(LeaseId lease) const;
+
+  [[nodiscard]] std::uint32_t tiles_committed() const { return tiles_committed_; }
+  [[nodiscard]] const std::vector<TileId>& poisoned() const { return poisoned_; }
+  // Every tile is committed or poisoned, and no dispute is left that a present worker could settle.
+  [[nodiscard]] bool finished() const;
+  [[nodiscard]] const LeaseStats& stats() const { return stats_; }
+  [[nodiscard]] Duration lease_length() const;
+
+ private:
+  static constexpr std::size_t kDeathsMax = 3;
+  static constexpr std::size_t kDurationsKept = 256;
+
+  struct Record {
+    TileId tile{};
+    WorkerId worker{};
+    Time granted{};
+    Time deadline{};
+    bool live = true;  // false: its tile was given back, its result may still come
+  };
+  struct TileState {
+    bool committed = false;
+    bool poisoned = false;
+    WorkerId worker{};     // of the committed result
+    Hash128 hash{};        // of the committed result
+    LeaseId live_lease{};  // meaningful while has_live
+    bool has_live = false;
+  };
+  struct Dispute {
+    std::array<WorkerId, 2> workers{};  // who said what is committed, who said otherwise
+    Hash128 other{};
+  };
+
+  void end_live(LeaseId lease);  // Requires: live. Its tile is pending again unless settled.
+  [[nodiscard]] bool may_lease(WorkerId worker, TileId tile) const;
+  [[nodiscard]] std::size_t deaths_of(TileId tile) const;
+  void keep_duration(Duration duration);
+  [[nodiscard]] ResultOutcome judge(WorkerId worker, TileId tile, const Hash128& hash);
+
+  Duration lease_min_;
+  std::mt19937_64 random_;
+  TileScheduler scheduler_;
+  std::vector<TileState> tiles_;  // [tile_count]
+  std::unordered_map<LeaseId, Record> leases_;
+  std::unordered_map<WorkerId, std::unordered_set<LeaseId>> live_by_worker_;
+  std::unordered_map<TileId, std::vector<WorkerId>> deaths_;  // different workers
+  std::unordered_map<TileId, Dispute> disputes_;
+  std::vector<TileId> poisoned_;
+  std::uint32_t tiles_committed_ = 0;
+  std::vector<Duration> durations_;  // of the last results, a ring
+  std::size_t durations_next_ = 0;
+  LeaseStats stats_;
+};
+
+}  // namespace preheat

@@ -1,0 +1,97 @@
+#include "cache/transport_model.h"
+
+#include <gtest/gtest.h>
+
+#include <cstdio>
+
+#include "tests/cache/transport_truth.h"
+
+namespace preheat {
+namespace {
+
+using test::Agreement;
+using test::CompiledScene;
+
+void print(const char* scene, const CompiledScene& compiled, const Prediction& predicted,
+           const Prediction& counted, const Agreement& agreement) {
+  std::printf(
+      "%s: %zu triangles, %zu voxels, %zu leaves, %.1f ms, pearson %.4f slope %.3f total "
+      "%.3f rays %.3f/%.3f/%.3f, capture",
+      scene, compiled.scene.triangles.size(), compiled.tables.voxels.size(),
+      compiled.proxy.records.size(), predicted.seconds * 1e3, agreement.pearson, agreement.slope,
+      agreement.total, predicted.camera_total / counted.camera_total,
+      predicted.scatter_total / counted.scatter_total,
+      predicted.shadow_total / counted.shadow_total);
+  for (std::size_t i = 0; i < agreement.capture.size(); ++i) {
+    std::printf(" %.4f(%.4f)", agreement.capture[i], agreement.capture_best[i]);
+  }
+  std::printf("\n");
+}
+
+TEST(TransportModel, CountsWhatAPathTracerCountsInARoom) {
+  for (const std::uint32_t clutter : {4U, 40U}) {
+    const CompiledScene compiled =
+        test::compile_in_memory(test::make_room(clutter, /*seed=*/1), clutter == 4 ? 200 : 800);
+    const RenderSettings settings = test::room_settings(/*size=*/128, /*spp=*/3);
+
+    const Result<Prediction> predicted =
+        predict("transport", {compiled.tables, compiled.proxy, settings, 1});
+    ASSERT_TRUE(predicted.has_value()) << predicted.error().message;
+    const Prediction counted = test::count_accesses(compiled, settings);
+    const Agreement agreement = test::compare(compiled.tables, *predicted, counted);
+
+    print("room", compiled, *predicted, counted, agreement);
+    EXPECT_GT(agreement.pearson, 0.98);
+    EXPECT_NEAR(agreement.slope, 1.0, 0.1);
+    EXPECT_NEAR(agreement.total, 1.0, 0.1);
+    for (std::size_t i = 0; i < agreement.capture.size(); ++i) {
+      EXPECT_GT(agreement.capture[i], 0.97 * agreement.capture_best[i]);
+    }
+    EXPECT_EQ(predicted->camera_total, counted.camera_total);
+    EXPECT_NEAR(predicted->scatter_total / counted.scatter_total, 1.0, 0.05);
+    EXPECT_NEAR(predicted->shadow_total / counted.shadow_total, 1.0, 0.08);
+  }
+}
+
+TEST(TransportModel, PredictsTheSameOnOneThreadAndOnMany) {
+  const CompiledScene compiled = test::compile_in_memory(test::make_room(4, /*seed=*/2), 200);
+  const RenderSettings settings = test::room_settings(/*size=*/256, /*spp=*/4);
+
+  const Prediction one = *predict("transport", {compiled.tables, compiled.proxy, settings, 1});
+  const Prediction two = *predict("transport", {compiled.tables, compiled.proxy, settings, 2});
+
+  EXPECT_EQ(one.rays_camera, two.rays_camera);
+  EXPECT_EQ(one.rays_scatter, two.rays_scatter);
+  EXPECT_EQ(one.rays_shadow, two.rays_shadow);
+  EXPECT_EQ(one.scatter_total, two.scatter_total);
+  EXPECT_EQ(one.shadow_total, two.shadow_total);
+}
+
+TEST(TransportModel, ShadesOnlyWhatTheSettingsAllow) {
+  const CompiledScene compiled = test::compile_in_memory(test::make_room(4, /*seed=*/2), 200);
+  RenderSettings settings = test::room_settings(/*size=*/64, /*spp=*/1);
+  settings.bounces = 0;
+
+  const Prediction prediction = *predict("transport", {compiled.tables, compiled.proxy, settings});
+
+  EXPECT_EQ(prediction.camera_total, 64.0 * 64.0);
+  EXPECT_EQ(prediction.scatter_total, 0.0);
+  EXPECT_EQ(prediction.shadow_total, 0.0);
+}
+
+TEST(TransportModel, RefusesAProxyOfAnotherScene) {
+  CompiledScene compiled = test::compile_in_memory(test::make_room(4, /*seed=*/2), 200);
+  const RenderSettings settings = test::room_settings(/*size=*/64, /*spp=*/1);
+  const PredictionInput input{compiled.tables, compiled.proxy, settings, 1};
+
+  compiled.tables.materials.resize(1);
+  EXPECT_EQ(predict("transport", input).error().code, ExitCode::kStoreDamaged);
+  compiled.tables.materials = compiled.scene.materials;
+  compiled.tables.voxel_nodes[0].first = 0;
+  EXPECT_EQ(predict("transport", input).error().code, ExitCode::kStoreDamaged);
+  compiled.tables.voxels.pop_back();
+  EXPECT_EQ(predict("transport", input).error().code, ExitCode::kStoreDamaged);
+}
+
+}  // namespace
+}  // namespace preheat
