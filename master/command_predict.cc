@@ -1,0 +1,163 @@
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <numeric>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "cache/prediction.h"
+#include "master/commands.h"
+#include "master/options.h"
+#include "master/scene_source.h"
+#include "master/view.h"
+
+namespace preheat {
+namespace {
+
+constexpr std::size_t kHottestPrinted = 10;
+
+struct PredictOptions {
+  SceneOptions scene{};
+  ViewOptions view{};
+  std::string model = "transport";
+  std::string json{};
+  std::string csv{};
+};
+
+std::vector<std::size_t> hottest_per_byte_first(const Prediction& prediction,
+                                                const std::vector<VoxelEntry>& voxels) {
+  std::vector<std::size_t> order(voxels.size());
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
+    return prediction.rays(a) * static_cast<double>(voxels[b].resident_bytes) >
+           prediction.rays(b) * static_cast<double>(voxels[a].resident_bytes);
+  });
+  return order;
+}
+
+// Share of all expected accesses that fall in the first voxels of `order` within a share of all
+// resident bytes; the last voxel counts in part.
+double capture(const Prediction& prediction, const SceneTables& tables,
+               const std::vector<std::size_t>& order, double bytes_share) {
+  double all = 0.0;
+  for (const std::size_t voxel : order) { all += prediction.rays(voxel); }
+  double room = bytes_share * static_cast<double>(tables.resident_bytes());
+  double captured = 0.0;
+  for (const std::size_t voxel : order) {
+    const auto bytes = static_cast<double>(tables.voxels[voxel].resident_bytes);
+    captured += prediction.rays(voxel) * std::min(1.0, room / bytes);
+    room -= bytes;
+    if (room <= 0.0) { break; }
+  }
+  return all > 0.0 ? captured / all : 0.0;
+}
+
+std::string prediction_table(const Prediction& prediction, const SceneTables& tables) {
+  const auto order = hottest_per_byte_first(prediction, tables.voxels);
+  std::string table = fmt::format(
+      "model            {}\n"
+      "seconds          {:.4f}\n"
+      "rays expected    {:.6g} = camera {:.6g} + scatter {:.6g} + shadow {:.6g}\n"
+      "voxels           {} of {} resident bytes\n",
+      prediction.model, prediction.seconds, prediction.rays_total(), prediction.camera_total,
+      prediction.scatter_total, prediction.shadow_total, tables.voxels.size(),
+      tables.resident_bytes());
+  for (const double share : {0.01, 0.10, 0.25, 0.50}) {
+    table += fmt::format("hottest {:3.0f} % of bytes are entered by {:5.1f} % of the accesses\n",
+                         100.0 * share, 100.0 * capture(prediction, tables, order, share));
+  }
+  table += fmt::format("\n{:>8} {:>12} {:>12} {:>12} {:>12} {:>12}\n", "voxel", "camera", "scatter",
+                       "shadow", "rays", "bytes");
+  for (std::size_t rank = 0; rank < std::min(kHottestPrinted, order.size()); ++rank) {
+    const std::size_t voxel = order[rank];
+    table += fmt::format("{:>8} {:>12.5g} {:>12.5g} {:>12.5g} {:>12.5g} {:>12}\n", voxel,
+                         prediction.rays_camera[voxel], prediction.rays_scatter[voxel],
+                         prediction.rays_shadow[voxel], prediction.rays(voxel),
+                         tables.voxels[voxel].resident_bytes);
+  }
+  return table;
+}
+
+std::string prediction_json(const Prediction& prediction, const SceneTables& tables) {
+  nlohmann::ordered_json captures;
+  const auto order = hottest_per_byte_first(prediction, tables.voxels);
+  for (const auto& [name, share] : {std::pair{"0.01", 0.01}, std::pair{"0.1", 0.1},
+                                    std::pair{"0.25", 0.25}, std::pair{"0.5", 0.5}}) {
+    captures[name] = capture(prediction, tables, order, share);
+  }
+  const nlohmann::ordered_json json = {{"model", prediction.model},
+                                       {"seconds", prediction.seconds},
+                                       {"rays_expected",
+                                        {{"camera", prediction.camera_total},
+                                         {"scatter", prediction.scatter_total},
+                                         {"shadow", prediction.shadow_total},
+                                         {"total", prediction.rays_total()}}},
+                                       {"voxels", tables.voxels.size()},
+                                       {"resident_bytes", tables.resident_bytes()},
+                                       {"capture_of_own_ranking", captures},
+                                       {"rays_camera", prediction.rays_camera},
+                                       {"rays_scatter", prediction.rays_scatter},
+                                       {"rays_shadow", prediction.rays_shadow}};
+  return json.dump(2) + "\n";
+}
+
+std::string prediction_csv(const Prediction& prediction, const SceneTables& tables) {
+  std::string csv = "voxel,rays_camera,rays_scatter,rays_shadow,rays,resident_bytes\n";
+  for (std::size_t voxel = 0; voxel < tables.voxels.size(); ++voxel) {
+    csv += fmt::format("{},{},{},{},{},{}\n", voxel, prediction.rays_camera[voxel],
+                       prediction.rays_scatter[voxel], prediction.rays_shadow[voxel],
+                       prediction.rays(voxel), tables.voxels[voxel].resident_bytes);
+  }
+  return csv;
+}
+
+Result<void> run_predict(const PredictOptions& options) {
+  for (const std::string& file : {options.json, options.csv}) {
+    if (auto writable = check_text_output(file); !writable) { return writable; }
+  }
+  const auto opened = open_scene(options.scene);
+  if (!opened) { return tl::unexpected(opened.error()); }
+  const Store& store = opened->store;
+  const auto view = resolve_view(store.tables(), store.cameras(), options.view);
+  if (!view) { return tl::unexpected(view.error()); }
+  const auto prediction =
+      predict(options.model, PredictionInput{store.tables(), store.proxy(), view->settings,
+                                             std::thread::hardware_concurrency()});
+  if (!prediction) { return tl::unexpected(prediction.error()); }
+
+  if (options.json != "-" && options.csv != "-") {
+    if (auto printed = write_text_output("-", prediction_table(*prediction, store.tables()));
+        !printed) {
+      return printed;
+    }
+  }
+  if (auto written = write_text_output(options.json, prediction_json(*prediction, store.tables()));
+      !written) {
+    return written;
+  }
+  return write_text_output(options.csv, prediction_csv(*prediction, store.tables()));
+}
+
+}  // namespace
+
+void add_predict_command(CLI::App& app, Command& chosen) {
+  const auto options = std::make_shared<PredictOptions>();
+  CLI::App* const command =
+      app.add_subcommand("predict", "Say how many rays each voxel would see, without tracing one");
+  add_scene_options(*command, options->scene);
+  command->add_option("--model", options->model, "How to predict")
+      ->check(CLI::IsMember(prediction_models()))
+      ->capture_default_str();
+  add_view_options(*command, options->view);
+  command->add_option("--json", options->json, "Write everything here; - for stdout")
+      ->type_name("FILE");
+  command->add_option("--csv", options->csv, "Write a line per voxel here; - for stdout")
+      ->type_name("FILE");
+  command->footer("Example: preheat predict demo --spp 64 --csv voxels.csv");
+  command->callback([&chosen, options] { chosen = [options] { return run_predict(*options); }; });
+}
+
+}  // namespace preheat

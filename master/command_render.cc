@@ -1,0 +1,278 @@
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <chrono>
+#include <filesystem>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <string>
+#include <thread>
+
+#include "cache/prediction.h"
+#include "cache/renderer.h"
+#include "master/commands.h"
+#include "master/file_output.h"
+#include "master/image_writer.h"
+#include "master/local_render.h"
+#include "master/master.h"
+#include "master/options.h"
+#include "master/progress.h"
+#include "master/report.h"
+#include "master/scene_source.h"
+#include "master/signals.h"
+#include "master/view.h"
+
+namespace preheat {
+namespace {
+
+struct RenderOptions {
+  SceneOptions scene{};
+  ViewOptions view{};
+  std::string output{};
+  std::string report{};
+  double exposure_ev = 0.0;
+  bool local = false;
+  std::optional<unsigned> workers{};
+  std::string listen{};
+  unsigned wait_workers = 1;
+  CacheSize cache{};
+  std::string cache_text = "25%";
+  std::string preload = "transport";
+  double preload_share = -1.0;
+  std::optional<unsigned> threads{};  // default: 1 per worker, all cores with --local
+  std::uint32_t tile_size = 32;
+  AccessCounting count_accesses = AccessCounting::kSampled;
+};
+
+const char* name_of(AccessCounting counting) {
+  switch (counting) {
+    case AccessCounting::kNone:
+      return "none";
+    case AccessCounting::kSampled:
+      return "sampled";
+    case AccessCounting::kExact:
+      return "exact";
+  }
+  return "none";
+}
+
+unsigned threads_of(const RenderOptions& options) {
+  if (options.threads) { return *options.threads; }
+  return options.local ? std::max(1U, std::thread::hardware_concurrency()) : 1U;
+}
+
+// The worker program is installed beside this one.
+std::string worker_program() {
+  std::error_code error;
+  const auto own = std::filesystem::read_symlink("/proc/self/exe", error);
+  return error ? std::string("preheat-worker") : (own.parent_path() / "preheat-worker").string();
+}
+
+MasterOptions master_options(const RenderOptions& options) {
+  MasterOptions master;
+  if (!options.listen.empty()) {
+    master.listen = options.listen;
+    master.workers_to_start = 0;
+    master.wait_workers = options.wait_workers;
+  } else {
+    master.workers_to_start = options.workers.value_or(2);
+    master.wait_workers = master.workers_to_start;
+  }
+  master.threads_per_worker = threads_of(options);
+  master.cache = options.cache;
+  master.preload_share = options.preload_share;
+  master.tile_size = options.tile_size;
+  master.count_accesses = options.count_accesses;
+  master.worker_program = worker_program();
+  return master;
+}
+
+nlohmann::ordered_json settings_of(const RenderOptions& options) {
+  nlohmann::ordered_json settings = {
+      {"mode", options.local            ? "local"
+               : options.listen.empty() ? "workers"
+                                        : "listen"},
+      {"workers", options.local ? 0U : options.workers.value_or(options.listen.empty() ? 2U : 0U)},
+      {"threads", threads_of(options)},
+      {"tile_size", options.tile_size},
+      {"count_accesses", name_of(options.count_accesses)},
+      {"exposure_ev", options.exposure_ev},
+      {"isa", tracing_isa()}};
+  if (!options.local) {
+    settings["cache"] = options.cache_text;
+    settings["preload"] = options.preload;
+    settings["preload_share"] = options.preload_share < 0.0
+                                    ? nlohmann::ordered_json("auto")
+                                    : nlohmann::ordered_json(options.preload_share);
+  }
+  return settings;
+}
+
+// Everything that can be known to fail before the first ray does so here.
+Result<void> check_before(const RenderOptions& options) {
+  if (auto format = image_format(options.output); !format) {
+    return tl::unexpected(format.error());
+  }
+  if (auto writable = check_output(options.output); !writable) { return writable; }
+  return check_text_output(options.report);
+}
+
+Result<Prediction> predict_for(const RenderOptions& options, const Store& store,
+                               const RenderSettings& settings) {
+  // In one process everything is hot: there is nothing to predict.
+  return predict(options.local ? "none" : options.preload,
+                 PredictionInput{store.tables(), store.proxy(), settings,
+                                 std::max(1U, std::thread::hardware_concurrency())});
+}
+
+ImageMetadata metadata_of(const RenderRecord& record) {
+  const RenderSettings& settings = record.view->settings;
+  const Hash128 scene = record.store->scene_hash();
+  return {{"preheat.version", PREHEAT_VERSION},
+          {"preheat.scene", record.store->info().source_file},
+          {"preheat.scene_hash", fmt::format("{:016x}{:016x}", scene.high, scene.low)},
+          {"preheat.camera", record.view->camera_source},
+          {"preheat.spp", fmt::format("{}", settings.spp)},
+          {"preheat.bounces", fmt::format("{}", settings.bounces)},
+          {"preheat.seed", fmt::format("{}", settings.seed)},
+          {"preheat.isa", tracing_isa()},
+          {"preheat.render_seconds", fmt::format("{:.3f}", record.seconds.render)},
+          {"preheat.pixels_sha256", record.pixels_sha256}};
+}
+
+Result<MasterResult> render_image(const RenderOptions& options, const Store& store,
+                                  const RenderSettings& settings, const Prediction& prediction) {
+  ProgressPrinter printer(stderr, ::isatty(STDERR_FILENO) == 1);
+  const auto print = [&printer](const MasterProgress& progress) { printer.update(progress); };
+  const std::atomic<int>& stop_signal = catch_stop_signals();
+  Result<MasterResult> result =
+      options.local
+          ? render_local(store, settings,
+                         {threads_of(options), options.tile_size, options.count_accesses},
+                         stop_signal, print)
+          : run_master(store, settings, prediction, master_options(options), stop_signal, print);
+  printer.finish();
+  return result;
+}
+
+Result<void> render(const RenderOptions& options) {
+  if (auto fine = check_before(options); !fine) { return fine; }
+  const auto opened = open_scene(options.scene);
+  if (!opened) { return tl::unexpected(opened.error()); }
+  const Store& store = opened->store;
+  if (auto limit = options.cache.resolve(store.tables()); !limit && !options.local) {
+    return tl::unexpected(limit.error());
+  }
+  const auto view = resolve_view(store.tables(), store.cameras(), options.view);
+  if (!view) { return tl::unexpected(view.error()); }
+  const auto prediction = predict_for(options, store, view->settings);
+  if (!prediction) { return tl::unexpected(prediction.error()); }
+  const auto result = render_image(options, store, view->settings, *prediction);
+  if (!result) { return tl::unexpected(result.error()); }
+
+  RenderRecord record{&store, &*view, &*prediction, &*result};
+  record.seconds = {opened->compile_seconds, prediction->seconds, result->preload_seconds,
+                    result->render_seconds};
+  record.pixels_sha256 = result->film.pixels_sha256();
+  record.settings = settings_of(options);
+  const auto written =
+      write_image(options.output, result->film, options.exposure_ev, metadata_of(record));
+  if (!written) { return written; }
+  fmt::print(stderr, "{}", make_summary(record));
+  return write_text_output(options.report, make_report(record).dump(2) + "\n");
+}
+
+void add_worker_options(CLI::App& command, RenderOptions& options) {
+  constexpr const char* kGroup = "Workers";
+  auto* const workers =
+      command.add_option("--workers", options.workers, "Worker processes to start here [2]")
+          ->check(CLI::Range(1U, kWorkersMax))
+          ->group(kGroup);
+  auto* const listen = add_parsed_option(command, "--listen", options.listen, &parse_address,
+                                         "Wait here for workers that connect")
+                           ->type_name("tcp://HOST:PORT")
+                           ->group(kGroup);
+  command.add_option("--wait-workers", options.wait_workers, "Begin when so many are there")
+      ->check(CLI::Range(1U, kWorkersMax))
+      ->capture_default_str()
+      ->needs(listen)
+      ->group(kGroup);
+  auto* const local = command
+                          .add_flag("--local", options.local,
+                                    "Render in this process, the whole scene in memory; --cache "
+                                    "and --preload have no effect")
+                          ->group(kGroup);
+  workers->excludes(listen)->excludes(local);
+  listen->excludes(local);
+  command
+      .add_option("--threads", options.threads,
+                  "Tracing threads of each worker [1; with --local all cores]")
+      ->check(CLI::Range(1U, kThreadsMax))
+      ->group(kGroup);
+}
+
+void add_cache_options(CLI::App& command, RenderOptions& options) {
+  constexpr const char* kGroup = "Cache";
+  const auto set_cache = [&options](const std::string& text) {
+    Result<CacheSize> cache = parse_cache_size(text);
+    if (!cache) { throw CLI::ValidationError("--cache", cache.error().message); }
+    options.cache = *cache;
+    options.cache_text = text;
+  };
+  command
+      .add_option_function<std::string>("--cache", set_cache,
+                                        "Memory of each worker's voxels: bytes with KiB, MiB or "
+                                        "GiB, or a share of the scene's resident size")
+      ->default_str(options.cache_text)
+      ->type_name("BYTES|PERCENT")
+      ->group(kGroup);
+  command
+      .add_option("--preload", options.preload, "Model that chooses what workers hold beforehand")
+      ->check(CLI::IsMember(prediction_models()))
+      ->capture_default_str()
+      ->group(kGroup);
+  add_parsed_option(command, "--preload-share", options.preload_share, &parse_preload_share,
+                    "Share of the cache to preload")
+      ->default_str("auto")
+      ->type_name("0..1|auto")
+      ->group(kGroup);
+  add_parsed_option(command, "--count-accesses", options.count_accesses, &parse_access_counting,
+                    "Count the voxels that rays enter: exact, sampled (one ray in 64) or none")
+      ->default_str("sampled")
+      ->type_name("HOW")
+      ->group(kGroup);
+}
+
+}  // namespace
+
+void add_render_command(CLI::App& app, Command& chosen) {
+  const auto options = std::make_shared<RenderOptions>();
+  CLI::App* const command = app.add_subcommand("render", "Render an image");
+  add_scene_options(*command, options->scene);
+  command
+      ->add_option("-o,--output", options->output, "The image: .png (8-bit sRGB) or .exr (float)")
+      ->required()
+      ->type_name("IMAGE");
+  command->add_option("--report", options->report, "Write what it cost here as JSON; - for stdout")
+      ->type_name("FILE");
+  command->add_option("--exposure", options->exposure_ev, "Brightens a PNG by so many stops")
+      ->check(CLI::Range(-64.0, 64.0))
+      ->type_name("EV")
+      ->capture_default_str();
+  command->add_option("--tile-size", options->tile_size, "Side of a tile in pixels")
+      ->check(CLI::Range(1U, kTileSizeMax))
+      ->capture_default_str();
+  add_view_options(*command, options->view);
+  add_worker_options(*command, *options);
+  add_cache_options(*command, *options);
+  command->footer(
+      "Examples:\n"
+      "  preheat render demo -o demo.png\n"
+      "  preheat render room.gltf -o room.exr --camera 0 --size 1920x1080 --spp 256 --workers 8\n"
+      "  preheat render room.store -o room.png --listen tcp://127.0.0.1:5555 --wait-workers 4");
+  command->callback([&chosen, options] { chosen = [options] { return render(*options); }; });
+}
+
+}  // namespace preheat

@@ -1,0 +1,151 @@
+#include "master/local_render.h"
+
+#include <fmt/format.h>
+
+#include <chrono>
+#include <condition_variable>
+#include <memory>
+#include <mutex>
+#include <utility>
+#include <variant>
+#include <vector>
+
+#include "cache/renderer.h"
+#include "common/hash.h"
+#include "master/signals.h"
+
+namespace preheat {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+double seconds_since(Clock::time_point start) {
+  return std::chrono::duration<double>(Clock::now() - start).count();
+}
+
+// Lets the owner sleep until the renderer has something to say.
+class Doorbell {
+ public:
+  void ring() {
+    {
+      const std::lock_guard lock(mutex_);
+      rung_ = true;
+    }
+    condition_.notify_one();
+  }
+  void wait_for(std::chrono::milliseconds patience) {
+    std::unique_lock lock(mutex_);
+    condition_.wait_for(lock, patience, [this] { return rung_; });
+    rung_ = false;
+  }
+
+ private:
+  std::mutex mutex_;
+  std::condition_variable condition_;
+  bool rung_ = false;
+};
+
+class LocalRender {
+ public:
+  LocalRender(const Store& store, const RenderSettings& settings, const LocalOptions& options,
+              const std::function<void(const MasterProgress&)>& progress)
+      : store_(store),
+        grid_{settings.width, settings.height, options.tile_size},
+        progress_(progress),
+        film_(settings.width, settings.height),
+        renderer_(store.tables(), settings,
+                  RendererOptions{options.threads, store.tables().resident_bytes(),
+                                  options.tile_size, options.count_accesses},
+                  [this] { doorbell_.ring(); }) {}
+
+  Result<MasterResult> run(const std::atomic<int>& stop_signal) {
+    const Clock::time_point began = Clock::now();
+    if (auto preloaded = preload(); !preloaded) { return tl::unexpected(preloaded.error()); }
+    for (std::uint32_t tile = 0; tile < grid_.count(); ++tile) { renderer_.add_tile(TileId{tile}); }
+    while (tiles_done_ < grid_.count()) {
+      if (const int signal = stop_signal.load(); signal != 0) {
+        return fail(exit_code_of_signal(signal), "stopped by a signal; no image was written");
+      }
+      doorbell_.wait_for(std::chrono::milliseconds(100));
+      for (RendererEvent& event : renderer_.take_events()) {
+        if (auto handled = handle(event); !handled) { return tl::unexpected(handled.error()); }
+      }
+      report_progress();
+    }
+    MasterResult result{std::move(film_), {}, {renderer_.stats()}, 0.0, 0.0};
+    result.preload_seconds = preload_seconds_ > 0.0 ? preload_seconds_ : 0.0;
+    result.render_seconds = seconds_since(began) - result.preload_seconds;
+    return result;
+  }
+
+ private:
+  Result<void> preload() {
+    started_ = Clock::now();
+    std::vector<VoxelId> voxels;
+    for (std::uint32_t voxel = 0; voxel < store_.tables().voxels.size(); ++voxel) {
+      voxels.push_back(VoxelId{voxel});
+    }
+    renderer_.set_hot_voxels(voxels);
+    for (const VoxelId voxel : voxels) {
+      if (auto delivered = deliver(voxel); !delivered) { return delivered; }
+    }
+    return {};
+  }
+
+  // The store owns the mapping for as long as this object lives, so no one else needs to.
+  Result<void> deliver(VoxelId voxel) {
+    const std::span<const std::byte> block = store_.block(voxel);
+    if (hash128(block) != store_.tables().voxels[index_of(voxel)].hash) {
+      return fail(ExitCode::kStoreDamaged,
+                  fmt::format("store damaged: voxel {} does not have the content that its "
+                              "directory names",
+                              index_of(voxel)));
+    }
+    return renderer_.deliver(voxel, VoxelBytes{block, nullptr});
+  }
+
+  Result<void> handle(RendererEvent& event) {
+    if (auto* const done = std::get_if<TileDone>(&event)) {
+      film_.assign(grid_.rect(done->tile), done->pixels);
+      ++tiles_done_;
+    } else if (const auto* const needed = std::get_if<VoxelNeeded>(&event)) {
+      return deliver(needed->voxel);
+    } else if (const auto* const failed = std::get_if<RendererFailed>(&event)) {
+      return tl::unexpected(failed->error);
+    } else if (std::holds_alternative<HotSetReady>(event)) {
+      preload_seconds_ = seconds_since(started_);
+      started_ = Clock::now();
+    }
+    return {};
+  }
+
+  void report_progress() {
+    if (preload_seconds_ < 0.0 || seconds_since(reported_) < 0.1) { return; }
+    reported_ = Clock::now();
+    const WorkerStats stats = renderer_.stats();
+    MasterProgress progress{tiles_done_, grid_.count(), 1, stats.rays.total()};
+    progress.seconds = seconds_since(started_);
+    progress_(progress);
+  }
+
+  const Store& store_;
+  TileGrid grid_;
+  const std::function<void(const MasterProgress&)>& progress_;
+  Film film_;
+  std::uint32_t tiles_done_ = 0;
+  double preload_seconds_ = -1.0;  // negative until the hot set is ready
+  Clock::time_point started_{};    // of the phase under way
+  Clock::time_point reported_{};
+  Doorbell doorbell_;
+  Renderer renderer_;  // last: its threads stop before what they ring
+};
+
+}  // namespace
+
+Result<MasterResult> render_local(const Store& store, const RenderSettings& settings,
+                                  const LocalOptions& options, const std::atomic<int>& stop_signal,
+                                  const std::function<void(const MasterProgress&)>& progress) {
+  return LocalRender(store, settings, options, progress).run(stop_signal);
+}
+
+}  // namespace preheat

@@ -1,0 +1,193 @@
+#include "master/options.h"
+
+#include <fmt/format.h>
+
+#include <array>
+#include <charconv>
+#include <cmath>
+#include <string_view>
+
+namespace preheat {
+namespace {
+
+// The whole of `text` as a finite number.
+std::optional<double> number_in(std::string_view text) {
+  double value = 0.0;
+  const char* const end = text.data() + text.size();
+  const auto [rest, error] = std::from_chars(text.data(), end, value);
+  if (error != std::errc{} || rest != end || !std::isfinite(value)) { return std::nullopt; }
+  return value;
+}
+
+std::optional<std::uint32_t> count_in(std::string_view text) {
+  std::uint32_t value = 0;
+  const char* const end = text.data() + text.size();
+  const auto [rest, error] = std::from_chars(text.data(), end, value);
+  if (error != std::errc{} || rest != end) { return std::nullopt; }
+  return value;
+}
+
+tl::unexpected<Error> wrong(const std::string& wanted, const std::string& text) {
+  return fail(ExitCode::kUsage, fmt::format("'{}' is not {}", text, wanted));
+}
+
+struct Unit {
+  std::string_view name;
+  double bytes;
+};
+constexpr std::array kUnits = {Unit{"KiB", 1024.0}, Unit{"MiB", 1048576.0},
+                               Unit{"GiB", 1073741824.0}, Unit{"TiB", 1099511627776.0}};
+
+}  // namespace
+
+Result<std::uint64_t> parse_bytes(const std::string& text) {
+  std::string_view number = text;
+  double unit = 1.0;
+  for (const Unit& candidate : kUnits) {
+    if (!number.ends_with(candidate.name)) { continue; }
+    number.remove_suffix(candidate.name.size());
+    unit = candidate.bytes;
+    break;
+  }
+  const std::optional<double> value = number_in(number);
+  const double bytes = value.value_or(0.0) * unit;
+  if (bytes < 1.0 || bytes > 0x1p62) {
+    return wrong("a size of at least 1 byte such as 4096, 64KiB, 512MiB or 1.5GiB", text);
+  }
+  return static_cast<std::uint64_t>(bytes);
+}
+
+Result<CacheSize> parse_cache_size(const std::string& text) {
+  if (!text.ends_with('%')) {
+    return parse_bytes(text).map([](std::uint64_t bytes) { return CacheSize{0.0, bytes}; });
+  }
+  const std::optional<double> percent =
+      number_in(std::string_view(text).substr(0, text.size() - 1));
+  if (!percent || *percent <= 0.0 || *percent > 100.0) {
+    return wrong("a percentage above 0% and up to 100%", text);
+  }
+  return CacheSize{*percent / 100.0, 0};
+}
+
+Result<ImageSize> parse_image_size(const std::string& text) {
+  const std::size_t cross = text.find('x');
+  const auto sides = std::string_view(text);
+  const std::optional<std::uint32_t> width = count_in(sides.substr(0, cross));
+  const std::optional<std::uint32_t> height =
+      cross == std::string::npos ? std::nullopt : count_in(sides.substr(cross + 1));
+  if (!width || !height) { return wrong("an image size such as 640x480", text); }
+  const auto is_side = [](std::uint32_t side) { return side >= 1 && side <= kImageSideMax; };
+  if (!is_side(*width) || !is_side(*height) || std::uint64_t{*width} * *height > kImagePixelsMax) {
+    return wrong(fmt::format("within 1..{} pixels a side and {} pixels in all", kImageSideMax,
+                             kImagePixelsMax),
+                 text);
+  }
+  return ImageSize{*width, *height};
+}
+
+Result<Vec3d> parse_vector(const std::string& text) {
+  Vec3d vector{0.0};
+  std::string_view rest = text;
+  for (int axis = 0; axis < 3; ++axis) {
+    const std::size_t comma = axis < 2 ? rest.find(',') : rest.size();
+    const std::optional<double> value =
+        comma == std::string_view::npos ? std::nullopt : number_in(rest.substr(0, comma));
+    if (!value) { return wrong("three finite numbers such as 1,2.5,-3", text); }
+    vector[axis] = *value;
+    rest.remove_prefix(std::min(comma + 1, rest.size()));
+  }
+  return vector;
+}
+
+Result<Vec3> parse_radiance(const std::string& text) {
+  const Result<Vec3d> vector = parse_vector(text);
+  if (!vector) { return tl::unexpected(vector.error()); }
+  const auto radiance = Vec3(*vector);
+  for (int channel = 0; channel < 3; ++channel) {
+    if (radiance[channel] < 0.0F || !std::isfinite(radiance[channel])) {
+      return wrong("three numbers of at least 0 such as 0.5,0.5,1", text);
+    }
+  }
+  return radiance;
+}
+
+Result<double> parse_preload_share(const std::string& text) {
+  if (text == "auto") { return -1.0; }
+  const std::optional<double> share = number_in(text);
+  if (!share || *share < 0.0 || *share > 1.0) { return wrong("auto or within 0..1", text); }
+  return *share;
+}
+
+Result<AccessCounting> parse_access_counting(const std::string& text) {
+  if (text == "exact") { return AccessCounting::kExact; }
+  if (text == "sampled") { return AccessCounting::kSampled; }
+  if (text == "none") { return AccessCounting::kNone; }
+  return wrong("exact, sampled or none", text);
+}
+
+Result<std::string> parse_address(const std::string& text) {
+  constexpr std::string_view kScheme = "tcp://";
+  const std::size_t colon = text.rfind(':');
+  if (text.starts_with(kScheme) && colon > kScheme.size() && colon != std::string::npos) {
+    const std::string_view port = std::string_view(text).substr(colon + 1);
+    const std::optional<std::uint32_t> number = count_in(port);
+    if (port == "*" || (number && *number <= 65535)) { return text; }
+  }
+  return wrong("an address such as tcp://127.0.0.1:5555", text);
+}
+
+void add_view_options(CLI::App& app, ViewOptions& view) {
+  constexpr const char* kGroup = "View";
+  const auto vector_option = [&](const char* name, std::optional<Vec3d>& target, const char* help) {
+    add_parsed_option(app, name, target, &parse_vector, help)->type_name("X,Y,Z")->group(kGroup);
+  };
+  app.add_option("--camera", view.camera,
+                 "Camera of the scene; without: the first one, or a view that frames the scene")
+      ->type_name("NAME|INDEX")
+      ->group(kGroup);
+  vector_option("--eye", view.eye, "Where the camera stands, in the file's units");
+  vector_option("--look-at", view.look_at, "The point in the middle of the image");
+  vector_option("--up", view.up, "What is upwards in the image (default: 0,1,0)");
+  app.add_option("--fov", view.fov_deg, "Vertical field of view")
+      ->type_name("DEGREES")
+      ->check(CLI::Range(0.001, 179.0))
+      ->group(kGroup);
+  add_parsed_option(app, "--size", view.size, &parse_image_size, "Image size in pixels")
+      ->type_name("WxH")
+      ->default_str(fmt::format("{}x{}", view.size.width, view.size.height))
+      ->group(kGroup);
+  app.add_option("--spp", view.spp, "Samples per pixel")
+      ->check(CLI::Range(1U, kSppMax))
+      ->capture_default_str()
+      ->group(kGroup);
+  app.add_option("--bounces", view.bounces,
+                 "Scattering events after the camera ray; 0 shows the lights alone")
+      ->check(CLI::Range(0U, kBouncesMax))
+      ->capture_default_str()
+      ->group(kGroup);
+  app.add_option("--seed", view.seed, "Another number gives other noise")
+      ->capture_default_str()
+      ->group(kGroup);
+  add_parsed_option(app, "--sky", view.sky, &parse_radiance,
+                    "Radiance of a constant sky (default: none if the scene has any light, else "
+                    "1,1,1)")
+      ->type_name("R,G,B")
+      ->group(kGroup);
+}
+
+void add_scene_options(CLI::App& app, SceneOptions& scene) {
+  app.add_option("SCENE", scene.scene,
+                 "A .gltf, .glb or .obj file, a compiled store, or demo: the built-in scene "
+                 "(demo:10M for about ten million triangles)")
+      ->required();
+  add_parsed_option(app, "--voxel-size", scene.voxel_size_bytes, &parse_bytes,
+                    "Bytes of a voxel at most, when the scene is compiled (default: the smaller of "
+                    "256KiB and 1/256 of the scene)")
+      ->type_name("BYTES");
+  app.add_option("--store-cache", scene.store_cache,
+                 "Folder that keeps compiled scenes (default: $XDG_CACHE_HOME/preheat or "
+                 "~/.cache/preheat)")
+      ->type_name("DIR");
+}
+
+}  // namespace preheat
