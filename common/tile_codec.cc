@@ -26,9 +26,9 @@ std::vector<std::byte> encode_tile(const TilePixels& pixels) {
 
 Result<TilePixels> decode_tile(std::span<const std::byte> bytes, const TileRect& rect) {
   if (bytes.size() != tile_bytes(rect)) {
-    return fail(ExitCode::kFailed, fmt::format("a tile of {}x{} pixels came as {} bytes, not {}",
-                                               rect.width, rect.height, bytes.size(),
-                                               tile_bytes(rect)));
+    return fail(ExitCode::kFailed,
+                fmt::format("a tile of {}x{} pixels came as {} bytes, not {}", rect.width,
+                            rect.height, bytes.size(), tile_bytes(rect)));
   }
   const std::size_t pixel_count = std::size_t{rect.width} * rect.height;
   TilePixels pixels;

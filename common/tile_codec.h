@@ -17,6 +17,7 @@ namespace preheat {
 [[nodiscard]] std::vector<std::byte> encode_tile(const TilePixels& pixels);
 
 // An error if the length is not that of the rectangle, or a value is not finite or negative.
-[[nodiscard]] Result<TilePixels> decode_tile(std::span<const std::byte> bytes, const TileRect& rect);
+[[nodiscard]] Result<TilePixels> decode_tile(std::span<const std::byte> bytes,
+                                             const TileRect& rect);
 
 }  // namespace preheat

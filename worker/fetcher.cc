@@ -13,8 +13,7 @@ namespace {
 constexpr std::uint64_t kOvertakenMax = 8;
 
 std::uint32_t range_bytes(std::uint64_t offset, std::uint64_t object_bytes) {
-  return static_cast<std::uint32_t>(
-      std::min<std::uint64_t>(kChunkBytesMax, object_bytes - offset));
+  return static_cast<std::uint32_t>(std::min<std::uint64_t>(kChunkBytesMax, object_bytes - offset));
 }
 
 }  // namespace
@@ -22,11 +21,11 @@ std::uint32_t range_bytes(std::uint64_t offset, std::uint64_t object_bytes) {
 void Fetcher::want(ObjectKey key, std::uint64_t bytes, const Hash128& hash) {
   CHECK(bytes > 0);
   const auto same = [&key](const Wanted& wanted) { return wanted.key == key; };
-  // A renderer wants a voxel once, so this list is searched only where it is short; the thousands of
-  // a preload come while nothing renders.
-  const bool known = in_flight_.contains(key) ||
-                     (waiting_.size() <= kObjectsInFlightMax &&
-                      std::any_of(waiting_.begin(), waiting_.end(), same));
+  // A renderer wants a voxel once, so this list is searched only where it is short; the thousands
+  // of a preload come while nothing renders.
+  const bool known =
+      in_flight_.contains(key) || (waiting_.size() <= kObjectsInFlightMax &&
+                                   std::any_of(waiting_.begin(), waiting_.end(), same));
   if (!known) { waiting_.push_back({key, bytes, hash, false}); }
 }
 
@@ -39,8 +38,8 @@ void Fetcher::begin_waiting() {
       order_.push_back(wanted.key);
       // operator new aligns to 16 bytes, as blocks must be.
       static_assert(__STDCPP_DEFAULT_NEW_ALIGNMENT__ >= 16);
-      in_flight_[wanted.key] = {wanted, std::shared_ptr<std::byte[]>(new std::byte[wanted.bytes]), 0,
-                                0};
+      in_flight_[wanted.key] = {wanted, std::shared_ptr<std::byte[]>(new std::byte[wanted.bytes]),
+                                0, 0};
     }
     waiting_.pop_front();
   }
@@ -133,8 +132,6 @@ void Fetcher::complete(std::map<ObjectKey, InFlight>::iterator object) {
 std::vector<FetchedObject> Fetcher::take_done() { return std::exchange(done_, {}); }
 std::vector<ObjectKey> Fetcher::take_damaged() { return std::exchange(damaged_, {}); }
 
-void Fetcher::reset() {
-  *this = Fetcher(deadline_first_, deadline_max_);
-}
+void Fetcher::reset() { *this = Fetcher(deadline_first_, deadline_max_); }
 
 }  // namespace preheat

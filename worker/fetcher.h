@@ -1,6 +1,7 @@
 // Fetches objects of known length and hash from the master in ranges: tables, plan, voxels.
 //
-//   want -> waiting -> in flight (memory allocated, ranges requested) -> whole, hash checked -> done
+//   want -> waiting -> in flight (memory allocated, ranges requested) -> whole, hash checked ->
+//   done
 //
 // One fetch per object however often it is wanted. Bounds: chunks asked for and not yet come
 // (kWindowBytes), bytes of unfinished objects (kInFlightBytesMax, or one object alone), objects in

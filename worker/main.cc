@@ -10,9 +10,10 @@
 #include <cstring>
 #include <string>
 
+#include "common/byte_size.h"
+#include "common/limits.h"
 #include "common/log.h"
 #include "common/self_test.h"
-#include "worker/cache_option.h"
 #include "worker/worker_loop.h"
 
 namespace {
@@ -39,6 +40,16 @@ void catch_stop_signals() {
   ::signal(SIGPIPE, SIG_IGN);
 }
 
+preheat::Result<void> read_cache_size(const std::string& text, preheat::WorkerOptions& options) {
+  if (text.empty()) { return {}; }
+  if (text.ends_with('%')) {
+    options.cache_kind = preheat::CacheRequestKind::kShare;
+    return preheat::parse_percentage(text).map([&](double share) { options.cache_share = share; });
+  }
+  options.cache_kind = preheat::CacheRequestKind::kBytes;
+  return preheat::parse_bytes(text).map([&](std::uint64_t bytes) { options.cache_bytes = bytes; });
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -48,7 +59,8 @@ int main(int argc, char** argv) {
   std::string cache;
   CLI::App app{
       "Renders tiles for a preheat master. All it knows of the scene comes over the network; it "
-      "opens no scene file and keeps at most --cache bytes of it. Ends with 0 when the job is done, "
+      "opens no scene file and keeps at most --cache bytes of it. Ends with 0 when the job is "
+      "done, "
       "4 when the master is gone or refuses, 7 when versions or instruction sets differ."};
   app.add_option("--connect", options.connect,
                  "The master's address, tcp://HOST:PORT, as `preheat render --listen` names it")
@@ -71,7 +83,7 @@ int main(int argc, char** argv) {
   } catch (const CLI::ParseError& error) {
     return app.exit(error) == 0 ? 0 : static_cast<int>(ExitCode::kUsage);
   }
-  if (const auto fine = preheat::parse_cache_option(cache, options); !fine) {
+  if (const auto fine = read_cache_size(cache, options); !fine) {
     spdlog::error("{}", fine.error().message);
     return static_cast<int>(fine.error().code);
   }

@@ -1,5 +1,5 @@
-// Finished tiles on their way to the master: chunks under a credit window, kept until the master has
-// said that it has the tile or does not want it.
+// Finished tiles on their way to the master: chunks under a credit window, kept until the master
+// has said that it has the tile or does not want it.
 //
 // Pure: time is an argument, chunks are taken and sent by the owner.
 #pragma once

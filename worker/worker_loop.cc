@@ -126,16 +126,17 @@ class WorkerLoop {
       return;
     }
     bulk_ = std::move(*bulk);
-    std::erase_if(queued_, [](const Queued& queued) { return queued.channel == ChannelKind::kBulk; });
+    std::erase_if(queued_,
+                  [](const Queued& queued) { return queued.channel == ChannelKind::kBulk; });
   }
   void perform(StartRenderer& start) {
     renderer_.reset();
-    renderer_ = std::make_unique<Renderer>(
-        std::move(start.tables), start.settings, start.options, [fd = wake_fd_] {
-          const std::uint64_t one = 1;
-          // Full means that the loop is awake already.
-          static_cast<void>(!::write(fd, &one, sizeof one));
-        });
+    renderer_ = std::make_unique<Renderer>(std::move(start.tables), start.settings, start.options,
+                                           [fd = wake_fd_] {
+                                             const std::uint64_t one = 1;
+                                             // Full means that the loop is awake already.
+                                             static_cast<void>(!::write(fd, &one, sizeof one));
+                                           });
   }
   void perform(SetHotVoxels& hot) { renderer_->set_hot_voxels(std::move(hot.voxels)); }
   void perform(DeliverVoxel& deliver) {
@@ -154,8 +155,8 @@ class WorkerLoop {
 
   void send() {
     for (Outgoing& outgoing : session_.take_outgoing()) {
-      // A Hello is not about a job yet; everything is repeated where it matters, so a full queue may
-      // drop it.
+      // A Hello is not about a job yet; everything is repeated where it matters, so a full queue
+      // may drop it.
       if (queued_.size() == kQueuedMax) { break; }
       queued_.push_back({outgoing.channel, encode_frame(session_.job(), outgoing.message),
                          std::move(outgoing.data)});
@@ -211,8 +212,9 @@ Result<void> run_worker(const WorkerOptions& options, const std::atomic<int>& st
   Result<Endpoint> master = check_endpoint(options.connect, options.insecure_no_auth);
   if (!master) { return tl::unexpected(master.error()); }
   if (master->port == 0) {
-    return fail(ExitCode::kUsage,
-                fmt::format("bad address \"{}\": a worker needs the master's port", options.connect));
+    return fail(
+        ExitCode::kUsage,
+        fmt::format("bad address \"{}\": a worker needs the master's port", options.connect));
   }
   WorkerLoop loop{options, std::move(*master), hello_of(options), wake_fd};
   return loop.run(stop_signal);

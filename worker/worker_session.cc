@@ -60,16 +60,19 @@ void WorkerSession::on_control(const Envelope& frame, Time now) {
     handle(*welcome, frame.job, now);
     return;
   }
-  // Before a Welcome nothing is known of the job; a stranger's or an older master's words are dropped.
+  // Before a Welcome nothing is known of the job; a stranger's or an older master's words are
+  // dropped.
   const bool of_any_job = std::holds_alternative<Unknown>(frame.message) ||
                           std::holds_alternative<Refuse>(frame.message);
   if (!of_any_job && frame.job != job_) { return; }
   heard_last_ = now;
-  std::visit([&](const auto& message) {
-    if constexpr (!std::is_same_v<std::decay_t<decltype(message)>, Welcome>) {
-      handle(message, now);
-    }
-  }, frame.message);
+  std::visit(
+      [&](const auto& message) {
+        if constexpr (!std::is_same_v<std::decay_t<decltype(message)>, Welcome>) {
+          handle(message, now);
+        }
+      },
+      frame.message);
 }
 
 void WorkerSession::handle(const Welcome& welcome, const JobKey& job, Time now) {
@@ -136,7 +139,9 @@ void WorkerSession::handle(const Cancel& cancel, Time /*now*/) {
   }
 }
 
-void WorkerSession::handle(const ResultAck& ack, Time now) { results_.on_result_ack(ack.lease, now); }
+void WorkerSession::handle(const ResultAck& ack, Time now) {
+  results_.on_result_ack(ack.lease, now);
+}
 
 void WorkerSession::handle(const Refuse& refuse, Time /*now*/) {
   const bool known = refuse.exit_code == static_cast<int>(ExitCode::kMismatch) ||
@@ -289,7 +294,8 @@ void WorkerSession::tick(Time now) {
            fmt::format("no word from the master for {:.0f} seconds", seconds(give_up_)));
     return;
   }
-  if (now - heard_last_ >= timers_.waiting_notice && now - waiting_told_ >= timers_.waiting_notice) {
+  if (now - heard_last_ >= timers_.waiting_notice &&
+      now - waiting_told_ >= timers_.waiting_notice) {
     waiting_told_ = now;
     spdlog::info("event=waiting_for_master seconds={:.0f}", seconds(now - heard_last_));
   }

@@ -3,9 +3,9 @@
 //   greeting -> fetching tables and plan -> preloading -> rendering -> over
 //
 // A master that forgot this worker is greeted again, and if the job is still the same nothing is
-// fetched twice; another job starts from nothing. Tiles whose leases were lost but that may be under
-// way already are finished and sent: the master compares them.
-// Pure: no socket, thread or clock. Messages go in, messages and actions come out.
+// fetched twice; another job starts from nothing. Tiles whose leases were lost but that may be
+// under way already are finished and sent: the master compares them. Pure: no socket, thread or
+// clock. Messages go in, messages and actions come out.
 #pragma once
 
 #include <cstdint>
@@ -125,8 +125,8 @@ class WorkerSession {
   Fetcher fetcher_;
   ResultSender results_;
   std::vector<std::pair<std::uint32_t, Hash128>> voxels_;  // [voxel_count] bytes and hash
-  std::map<TileId, Lease> leases_;   // to be rendered
-  std::map<TileId, Lease> orphans_;  // lost, perhaps under way
+  std::map<TileId, Lease> leases_;                         // to be rendered
+  std::map<TileId, Lease> orphans_;                        // lost, perhaps under way
   std::vector<Outgoing> outgoing_;
   std::vector<WorkerAction> actions_;
 };
