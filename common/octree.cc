@@ -28,133 +28,161 @@ constexpr std::size_t kTaskReferencesMax = std::size_t{1} << 14;
 // References that one task distributes of a node above that.
 constexpr std::size_t kChunkReferences = std::size_t{1} << 13;
 
-// A triangle made ready for separating-axis tests against several boxes of one size. The three box
-// normals are left to the caller, who knows the triangle's bounds.
+constexpr int kAnyDirection = 3;
+
+// The axis that is the cross product of an edge and the coordinate axis kAcross. A template so that
+// no component is looked up by a variable: this is the innermost code of the build.
+template <int kAcross, class Visit>
+[[nodiscard]] bool visit_edge_axis(const Vec3d& from, const Vec3d& along, const Vec3d& opposite,
+                                   const Vec3d& reach, Visit&& visit) {
+  constexpr int kU = (kAcross + 1) % 3;
+  constexpr int kV = (kAcross + 2) % 3;
+  Vec3d weights(0.0);
+  weights[kU] = -along[kV];
+  weights[kV] = along[kU];
+  // Both ends of the edge project to the same value.
+  const double at_edge = weights[kU] * from[kU] + weights[kV] * from[kV];
+  const double at_opposite = weights[kU] * opposite[kU] + weights[kV] * opposite[kV];
+  const double radius = std::abs(weights[kU]) * reach[kU] + std::abs(weights[kV]) * reach[kV];
+  return visit(kAcross, weights, std::min(at_edge, at_opposite) - radius,
+               std::max(at_edge, at_opposite) + radius);
+}
+
+// Calls visit(across, weights, low, high) for the ten axes on which a triangle and a box may be
+// separated besides the box's own normals, until visit returns false: a box of the given half
+// extent overlaps the triangle only if low <= dot(weights, its centre) <= high on every one. Nine
+// are cross products of an edge and the coordinate axis `across`, where weights[across] is 0; the
+// plane's normal has kAnyDirection and comes first, as it separates most often.
 //
 // Coordinates are floats, so in double a projection errs by no more than a few 2^-53 of what is
-// summed; kSlack covers that many times over. The plane's normal may cancel down to noise for
-// slivers, which is why its slack is taken of the edges' sizes and not of the normal's.
-class TriangleAxes {
- public:
-  TriangleAxes(const Vec3& a, const Vec3& b, const Vec3& c, const Vec3d& half_extent) {
-    const std::array<Vec3d, 3> vertices{Vec3d(a), Vec3d(b), Vec3d(c)};
-    double magnitude = 0.0;
-    for (const Vec3d& vertex : vertices) {
-      for (int axis = 0; axis < 3; ++axis) {
-        magnitude = std::max(magnitude, std::abs(vertex[axis]));
-      }
-    }
-    magnitude += half_extent.x + half_extent.y + half_extent.z;
-    const Vec3d reach = half_extent + Vec3d(kSlack * magnitude);
+// summed; kSlack covers that many times over. The normal may cancel down to noise for slivers,
+// which is why its slack is taken of the edges' lengths and not of its own.
+template <class Visit>
+void for_each_axis(const std::array<Vec3d, 3>& vertices, const Vec3d& half_extent, Visit&& visit) {
+  constexpr double kSlack = 1.0 / static_cast<double>(std::uint64_t{1} << 48U);
+  const auto sum_of = [](const Vec3d& v) { return v.x + v.y + v.z; };
+  double magnitude = sum_of(half_extent);
+  for (const Vec3d& vertex : vertices) { magnitude += sum_of(glm::abs(vertex)); }
+  const Vec3d reach = half_extent + Vec3d(kSlack * magnitude);
 
-    std::size_t next = 0;
-    for (std::size_t edge = 0; edge < 3; ++edge) {
-      const Vec3d& from = vertices[edge];
-      const Vec3d& to = vertices[(edge + 1) % 3];
-      const Vec3d& opposite = vertices[(edge + 2) % 3];
-      const Vec3d along = to - from;
-      for (int axis = 0; axis < 3; ++axis) {
-        const int u = (axis + 1) % 3;
-        const int v = (axis + 2) % 3;
-        // The cross product of the axis and the edge has the components (-along[v], along[u]) in
-        // the (u, v) plane; both ends of the edge project to the same value.
-        const double weight_u = -along[v];
-        const double weight_v = along[u];
-        const double at_edge = weight_u * from[u] + weight_v * from[v];
-        const double at_opposite = weight_u * opposite[u] + weight_v * opposite[v];
-        const double radius = std::abs(weight_u) * reach[u] + std::abs(weight_v) * reach[v];
-        Vec3d weights(0.0);
-        weights[u] = weight_u;
-        weights[v] = weight_v;
-        set(next++, weights, std::min(at_edge, at_opposite) - radius,
-            std::max(at_edge, at_opposite) + radius);
-      }
-    }
-
-    const Vec3d side = vertices[1] - vertices[0];
-    const Vec3d other_side = vertices[2] - vertices[0];
-    const Vec3d normal = glm::cross(side, other_side);
-    const double offset = glm::dot(normal, vertices[0]);
-    const double radius = glm::dot(glm::abs(normal), reach) +
-                          kSlack * glm::length(side) * glm::length(other_side) * magnitude;
-    set(next, normal, offset - radius, offset + radius);
+  const std::array<Vec3d, 3> along{vertices[1] - vertices[0], vertices[2] - vertices[1],
+                                   vertices[0] - vertices[2]};
+  const Vec3d normal = glm::cross(along[0], along[1]);
+  const double offset = glm::dot(normal, vertices[0]);
+  const double radius = glm::dot(glm::abs(normal), reach) + kSlack * magnitude *
+                                                                sum_of(glm::abs(along[0])) *
+                                                                sum_of(glm::abs(along[1]));
+  if (!visit(kAnyDirection, normal, offset - radius, offset + radius)) { return; }
+  for (std::size_t edge = 0; edge < 3; ++edge) {
+    const Vec3d& from = vertices[edge];
+    const Vec3d& opposite = vertices[(edge + 2) % 3];
+    const bool go_on = visit_edge_axis<0>(from, along[edge], opposite, reach, visit) &&
+                       visit_edge_axis<1>(from, along[edge], opposite, reach, visit) &&
+                       visit_edge_axis<2>(from, along[edge], opposite, reach, visit);
+    if (!go_on) { return; }
   }
-
-  // False only if one of the axes separates the triangle from the box around `centre`.
-  [[nodiscard]] bool overlap(const Vec3d& centre) const {
-    bool all = true;
-    for (std::size_t axis = 0; axis < kAxes; ++axis) {
-      const double at = x_[axis] * centre.x + y_[axis] * centre.y + z_[axis] * centre.z;
-      all &= (at >= low_[axis]) & (at <= high_[axis]);
-    }
-    return all;
-  }
-
- private:
-  static constexpr std::size_t kAxes = 10;
-  static constexpr double kSlack = 1.0 / static_cast<double>(std::uint64_t{1} << 48);
-
-  void set(std::size_t axis, const Vec3d& weights, double low, double high) {
-    x_[axis] = weights.x;
-    y_[axis] = weights.y;
-    z_[axis] = weights.z;
-    low_[axis] = low;
-    high_[axis] = high;
-  }
-
-  std::array<double, kAxes> x_;
-  std::array<double, kAxes> y_;
-  std::array<double, kAxes> z_;
-  std::array<double, kAxes> low_;
-  std::array<double, kAxes> high_;
-};
+}
 
 [[nodiscard]] Vec3d centre_of(const Aabb& box) { return 0.5 * (Vec3d(box.low) + Vec3d(box.high)); }
 [[nodiscard]] Vec3d half_of(const Aabb& box) { return 0.5 * (Vec3d(box.high) - Vec3d(box.low)); }
 
 [[nodiscard]] Vec3 split_point(const Aabb& cell) { return 0.5F * (cell.low + cell.high); }
 
-// Which children of one cell a triangle overlaps.
+// Which children of one cell a triangle overlaps. A set of children is a byte, bit i for child i.
 class CellSplit {
  public:
-  explicit CellSplit(const Aabb& cell) : split_(split_point(cell)) {
-    for (unsigned octant = 0; octant < kChildren; ++octant) {
+  explicit CellSplit(const Aabb& cell)
+      : cell_(cell),
+        split_(split_point(cell)),
+        lower_end_(split_ + Vec3(kVoxelMargin)),
+        upper_begin_(split_ - Vec3(kVoxelMargin)) {
+    for (const unsigned octant : {0U, 7U}) {  // the lower and the upper half on each axis
       const Aabb child = grown_cell(child_cell(cell, octant));
-      centres_[octant] = centre_of(child);
+      centres_[octant & 1U] = centre_of(child);
       half_extent_ = glm::max(half_extent_, half_of(child));  // they differ by rounding
     }
   }
 
-  // Bit i: child i. Requires: the triangle overlaps the grown cell.
+  // Requires: the triangle overlaps the grown cell.
   [[nodiscard]] unsigned children_of(const Vec3& a, const Vec3& b, const Vec3& c) const {
-    unsigned children = 0xFF;
-    for (int axis = 0; axis < 3; ++axis) {
-      const float low = std::min({a[axis], b[axis], c[axis]});
-      const float high = std::max({a[axis], b[axis], c[axis]});
-      if (low > split_[axis] + kVoxelMargin) {
-        children &= kUpperHalf[static_cast<std::size_t>(axis)];
-      }
-      if (high < split_[axis] - kVoxelMargin) {
-        children &= ~kUpperHalf[static_cast<std::size_t>(axis)];
-      }
-    }
-    if (std::has_single_bit(children)) { return children; }
-    const TriangleAxes axes(a, b, c, half_extent_);
-    unsigned overlapped = 0;
-    for (unsigned octant = 0; octant < kChildren; ++octant) {
-      if ((children >> octant & 1U) != 0U && axes.overlap(centres_[octant])) {
-        overlapped |= 1U << octant;
-      }
-    }
-    return overlapped;
+    const Vec3 low = glm::min(glm::min(a, b), c);
+    const Vec3 high = glm::max(glm::max(a, b), c);
+    const unsigned possible = on_sides(low.x, high.x, lower_end_.x, upper_begin_.x, kUpperX) &
+                              on_sides(low.y, high.y, lower_end_.y, upper_begin_.y, kUpperY) &
+                              on_sides(low.z, high.z, lower_end_.z, upper_begin_.z, kUpperZ);
+    if (is_one(possible)) { return possible; }
+    const bool inside = low.x >= cell_.low.x && low.y >= cell_.low.y && low.z >= cell_.low.z &&
+                        high.x <= cell_.high.x && high.y <= cell_.high.y && high.z <= cell_.high.z;
+    // Of a triangle that lies in the cell, the children that hold its vertices are certain.
+    const unsigned certain = inside ? child_at(a) | child_at(b) | child_at(c) : 0U;
+    return certain == possible ? certain
+                               : separate({Vec3d(a), Vec3d(b), Vec3d(c)}, possible, certain);
   }
 
  private:
-  static constexpr std::array<unsigned, 3> kUpperHalf{0xAA, 0xCC, 0xF0};
+  // The children in the upper half on each axis.
+  static constexpr unsigned kUpperX = 0xAA;
+  static constexpr unsigned kUpperY = 0xCC;
+  static constexpr unsigned kUpperZ = 0xF0;
 
+  [[nodiscard]] static constexpr unsigned upper_half(int axis) {
+    return axis == 0 ? kUpperX : axis == 1 ? kUpperY : kUpperZ;
+  }
+  // The children that an interval reaches on one axis, where `upper` are those in the upper half.
+  [[nodiscard]] static unsigned on_sides(float low, float high, float lower_end, float upper_begin,
+                                         unsigned upper) {
+    return (low <= lower_end ? ~upper & 0xFFU : 0U) | (high >= upper_begin ? upper : 0U);
+  }
+  [[nodiscard]] static bool is_one(unsigned children) { return (children & (children - 1)) == 0; }
+
+  [[nodiscard]] unsigned child_at(const Vec3& point) const {
+    const unsigned octant = static_cast<unsigned>(point.x > split_.x) |
+                            static_cast<unsigned>(point.y > split_.y) << 1U |
+                            static_cast<unsigned>(point.z > split_.z) << 2U;
+    return 1U << octant;
+  }
+
+  // Takes from `possible` what an axis separates from the triangle, until nothing but `certain` is
+  // left, or one child: as the triangle overlaps the cell, it overlaps the last one.
+  [[nodiscard]] unsigned separate(const std::array<Vec3d, 3>& vertices, unsigned possible,
+                                  unsigned certain) const {
+    for_each_axis(vertices, half_extent_,
+                  [&](int across, const Vec3d& weights, double low, double high) {
+                    const Vec3d at_lower = weights * centres_[0];
+                    const Vec3d at_upper = weights * centres_[1];
+                    const auto reached = [&](double at) {
+                      return static_cast<unsigned>(at >= low && at <= high);
+                    };
+                    unsigned overlapped = 0;
+                    if (across == kAnyDirection) {
+                      for (unsigned octant = 0; octant < kChildren; ++octant) {
+                        const double at = ((octant & 1U) != 0 ? at_upper.x : at_lower.x) +
+                                          ((octant & 2U) != 0 ? at_upper.y : at_lower.y) +
+                                          ((octant & 4U) != 0 ? at_upper.z : at_lower.z);
+                        overlapped |= reached(at) << octant;
+                      }
+                    } else {
+                      const int u = (across + 1) % 3;
+                      const int v = (across + 2) % 3;
+                      const unsigned upper_u = upper_half(u);
+                      const unsigned upper_v = upper_half(v);
+                      overlapped |= -reached(at_lower[u] + at_lower[v]) & ~upper_u & ~upper_v;
+                      overlapped |= -reached(at_upper[u] + at_lower[v]) & upper_u & ~upper_v;
+                      overlapped |= -reached(at_lower[u] + at_upper[v]) & ~upper_u & upper_v;
+                      overlapped |= -reached(at_upper[u] + at_upper[v]) & upper_u & upper_v;
+                    }
+                    possible &= overlapped | certain;
+                    return possible != certain && !is_one(possible);
+                  });
+    return possible;
+  }
+
+  Aabb cell_;
   Vec3 split_;
+  Vec3 lower_end_;    // of the grown lower children
+  Vec3 upper_begin_;  // of the grown upper children
   Vec3d half_extent_{0.0};
-  std::array<Vec3d, kChildren> centres_{};
+  std::array<Vec3d, 2> centres_{};  // of the lower and the upper children, by axis
 };
 
 // A node that waits to be split or to become a leaf.
@@ -185,6 +213,7 @@ class Builder {
     Pending place{};
     std::vector<std::uint32_t> triangles{};  // emptied once split
     std::uint32_t first_child = 0;           // into top_; 0 = `subtree` is built here
+    bool is_leaf = false;                    // a split was tried and is not worth it
     Subtree subtree{};
   };
 
@@ -242,8 +271,8 @@ void Builder::find_children(const CellSplit& split, std::span<const std::uint32_
         split.children_of(scene_.positions[vertices[0]], scene_.positions[vertices[1]],
                           scene_.positions[vertices[2]]);
     children[i] = static_cast<std::uint8_t>(overlapped);
-    for (unsigned octant = 0; octant < kChildren; ++octant) {
-      counts[octant] += overlapped >> octant & 1U;
+    for (unsigned left = overlapped; left != 0; left &= left - 1) {
+      ++counts[static_cast<std::size_t>(std::countr_zero(left))];
     }
   }
 }
@@ -275,6 +304,7 @@ void Builder::split_top(std::size_t index) {
   const std::size_t sum = std::accumulate(total.begin(), total.end(), std::size_t{0});
   if (!is_worth(place, triangles.size(), sum)) {
     top_[index].triangles = std::move(triangles);
+    top_[index].is_leaf = true;
     return;
   }
 
@@ -455,7 +485,14 @@ Octree Builder::build() {
   grow_top();
   tbb::parallel_for(std::size_t{0}, top_.size(), [&](std::size_t index) {
     TopNode& top = top_[index];
-    if (top.first_child == 0) { top.subtree = build_subtree(top.place, std::move(top.triangles)); }
+    if (top.is_leaf) {
+      top.subtree = {
+          .nodes = {{.references_count = static_cast<std::uint32_t>(top.triangles.size())}},
+          .references = std::move(top.triangles),
+          .depth_max = top.place.depth};
+    } else if (top.first_child == 0) {
+      top.subtree = build_subtree(top.place, std::move(top.triangles));
+    }
   });
   return assemble(root_cell);
 }
@@ -484,7 +521,15 @@ bool triangle_overlaps_box(const Vec3& a, const Vec3& b, const Vec3& c, const Aa
     if (std::min({a[axis], b[axis], c[axis]}) > box.high[axis]) { return false; }
     if (std::max({a[axis], b[axis], c[axis]}) < box.low[axis]) { return false; }
   }
-  return TriangleAxes(a, b, c, half_of(box)).overlap(centre_of(box));
+  const Vec3d centre = centre_of(box);
+  bool overlap = true;
+  for_each_axis({Vec3d(a), Vec3d(b), Vec3d(c)}, half_of(box),
+                [&](int /*across*/, const Vec3d& weights, double low, double high) {
+                  const double at = glm::dot(weights, centre);
+                  overlap = at >= low && at <= high;
+                  return overlap;
+                });
+  return overlap;
 }
 
 Octree build_octree(const Scene& scene, const OctreeLimits& limits) {

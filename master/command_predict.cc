@@ -148,7 +148,9 @@ void add_predict_command(CLI::App& app, Command& chosen) {
   CLI::App* const command =
       app.add_subcommand("predict", "Say how many rays each voxel would see, without tracing one");
   add_scene_options(*command, options->scene);
-  command->add_option("--model", options->model, "How to predict")
+  command
+      ->add_option("--model", options->model, "How to predict: transport, uniform, random or none")
+      ->type_name("MODEL")
       ->check(CLI::IsMember(prediction_models()))
       ->capture_default_str();
   add_view_options(*command, options->view);

@@ -12,6 +12,7 @@
 
 #include "cache/prediction.h"
 #include "cache/renderer.h"
+#include "common/content_hash.h"
 #include "master/commands.h"
 #include "master/file_output.h"
 #include "master/image_writer.h"
@@ -129,10 +130,9 @@ Result<Prediction> predict_for(const RenderOptions& options, const Store& store,
 
 ImageMetadata metadata_of(const RenderRecord& record) {
   const RenderSettings& settings = record.view->settings;
-  const Hash128 scene = record.store->scene_hash();
   return {{"preheat.version", PREHEAT_VERSION},
           {"preheat.scene", record.store->info().source_file},
-          {"preheat.scene_hash", fmt::format("{:016x}{:016x}", scene.high, scene.low)},
+          {"preheat.scene_hash", to_string(record.store->scene_hash())},
           {"preheat.camera", record.view->camera_source},
           {"preheat.spp", fmt::format("{}", settings.spp)},
           {"preheat.bounces", fmt::format("{}", settings.bounces)},
@@ -187,15 +187,18 @@ Result<void> render(const RenderOptions& options) {
 void add_worker_options(CLI::App& command, RenderOptions& options) {
   constexpr const char* kGroup = "Workers";
   auto* const workers =
-      command.add_option("--workers", options.workers, "Worker processes to start here [2]")
-          ->check(CLI::Range(1U, kWorkersMax))
+      command
+          .add_option("--workers", options.workers, "Worker processes to start here (default: 2)")
+          ->type_name("N")
+          ->check(in_range(1U, kWorkersMax))
           ->group(kGroup);
   auto* const listen = add_parsed_option(command, "--listen", options.listen, &parse_address,
                                          "Wait here for workers that connect")
                            ->type_name("tcp://HOST:PORT")
                            ->group(kGroup);
   command.add_option("--wait-workers", options.wait_workers, "Begin when so many are there")
-      ->check(CLI::Range(1U, kWorkersMax))
+      ->type_name("N")
+      ->check(in_range(1U, kWorkersMax))
       ->capture_default_str()
       ->needs(listen)
       ->group(kGroup);
@@ -208,8 +211,9 @@ void add_worker_options(CLI::App& command, RenderOptions& options) {
   listen->excludes(local);
   command
       .add_option("--threads", options.threads,
-                  "Tracing threads of each worker [1; with --local all cores]")
-      ->check(CLI::Range(1U, kThreadsMax))
+                  "Tracing threads of each worker (default: 1; with --local all cores)")
+      ->type_name("N")
+      ->check(in_range(1U, kThreadsMax))
       ->group(kGroup);
 }
 
@@ -229,7 +233,10 @@ void add_cache_options(CLI::App& command, RenderOptions& options) {
       ->type_name("BYTES|PERCENT")
       ->group(kGroup);
   command
-      .add_option("--preload", options.preload, "Model that chooses what workers hold beforehand")
+      .add_option("--preload", options.preload,
+                  "What chooses the voxels that workers hold beforehand: transport, uniform, "
+                  "random or none")
+      ->type_name("MODEL")
       ->check(CLI::IsMember(prediction_models()))
       ->capture_default_str()
       ->group(kGroup);
@@ -258,11 +265,12 @@ void add_render_command(CLI::App& app, Command& chosen) {
   command->add_option("--report", options->report, "Write what it cost here as JSON; - for stdout")
       ->type_name("FILE");
   command->add_option("--exposure", options->exposure_ev, "Brightens a PNG by so many stops")
-      ->check(CLI::Range(-64.0, 64.0))
+      ->check(in_range(-64.0, 64.0))
       ->type_name("EV")
       ->capture_default_str();
   command->add_option("--tile-size", options->tile_size, "Side of a tile in pixels")
-      ->check(CLI::Range(1U, kTileSizeMax))
+      ->type_name("N")
+      ->check(in_range(1U, kTileSizeMax))
       ->capture_default_str();
   add_view_options(*command, options->view);
   add_worker_options(*command, *options);

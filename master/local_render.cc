@@ -11,7 +11,7 @@
 #include <vector>
 
 #include "cache/renderer.h"
-#include "common/hash.h"
+#include "common/content_hash.h"
 #include "master/signals.h"
 
 namespace preheat {
@@ -95,7 +95,7 @@ class LocalRender {
   // The store owns the mapping for as long as this object lives, so no one else needs to.
   Result<void> deliver(VoxelId voxel) {
     const std::span<const std::byte> block = store_.block(voxel);
-    if (hash128(block) != store_.tables().voxels[index_of(voxel)].hash) {
+    if (content_hash(block) != store_.tables().voxels[index_of(voxel)].hash) {
       return fail(ExitCode::kStoreDamaged,
                   fmt::format("store damaged: voxel {} does not have the content that its "
                               "directory names",

@@ -13,13 +13,25 @@ namespace {
 int code_of(ExitCode code) { return static_cast<int>(code); }
 
 // Help and version go to stdout; everything else is a usage error in one line.
-int report_parse_end(const CLI::App& app, const CLI::ParseError& end) {
+int report_parse_end(const CLI::App& app, const CLI::ParseError& end, const char* first) {
   if (end.get_exit_code() == 0) { return app.exit(end); }
-  fmt::print(stderr, "preheat: {}\n", end.what());
+  if (!app.get_subcommands().empty()) {
+    fmt::print(stderr, "preheat {}: {}\n", app.get_subcommands().front()->get_name(), end.what());
+    return code_of(ExitCode::kUsage);
+  }
+  std::string known;
+  for (const CLI::App* const command : app.get_subcommands(nullptr)) {
+    known += " " + command->get_name();
+  }
+  fmt::print(stderr, "preheat: {}; the commands are:{}\n",
+             first == nullptr ? "no command" : fmt::format("'{}' is not a command", first), known);
   return code_of(ExitCode::kUsage);
 }
 
 int run(int argument_count, char** arguments) {
+  set_up_logging("preheat");
+  // A terminal shows the progress line; events are for those who ask.
+  if (std::getenv("PREHEAT_LOG") == nullptr) { spdlog::set_level(spdlog::level::warn); }
   CLI::App app{
       "Distributed path tracer that predicts which parts of a scene will be hot and has "
       "them in every worker's cache before the first ray."};
@@ -40,7 +52,9 @@ int run(int argument_count, char** arguments) {
       "9 scene rejected, 130 and 143 on signals.");
   try {
     app.parse(argument_count, arguments);
-  } catch (const CLI::ParseError& end) { return report_parse_end(app, end); }
+  } catch (const CLI::ParseError& end) {
+    return report_parse_end(app, end, argument_count > 1 ? arguments[1] : nullptr);
+  }
   const Result<void> done = chosen();
   if (done) { return code_of(ExitCode::kDone); }
   fmt::print(stderr, "preheat: {}\n", done.error().message);

@@ -109,11 +109,12 @@ Result<std::string> parse_address(const std::string& text) {
 
 void add_view_options(CLI::App& app, ViewOptions& view) {
   constexpr const char* kGroup = "View";
+  app.option_defaults()->multi_option_policy(CLI::MultiOptionPolicy::TakeLast);
   const auto vector_option = [&](const char* name, std::optional<Vec3d>& target, const char* help) {
     add_parsed_option(app, name, target, &parse_vector, help)->type_name("X,Y,Z")->group(kGroup);
   };
   app.add_option("--camera", view.camera,
-                 "Camera of the scene; without: the first one, or a view that frames the scene")
+                 "Camera of the scene (default: the first one, else a view that frames the scene)")
       ->type_name("NAME|INDEX")
       ->group(kGroup);
   vector_option("--eye", view.eye, "Where the camera stands, in the file's units");
@@ -121,22 +122,25 @@ void add_view_options(CLI::App& app, ViewOptions& view) {
   vector_option("--up", view.up, "What is upwards in the image (default: 0,1,0)");
   app.add_option("--fov", view.fov_deg, "Vertical field of view")
       ->type_name("DEGREES")
-      ->check(CLI::Range(0.001, 179.0))
+      ->check(in_range(0.001, 179.0))
       ->group(kGroup);
   add_parsed_option(app, "--size", view.size, &parse_image_size, "Image size in pixels")
       ->type_name("WxH")
       ->default_str(fmt::format("{}x{}", view.size.width, view.size.height))
       ->group(kGroup);
   app.add_option("--spp", view.spp, "Samples per pixel")
-      ->check(CLI::Range(1U, kSppMax))
+      ->type_name("N")
+      ->check(in_range(1U, kSppMax))
       ->capture_default_str()
       ->group(kGroup);
   app.add_option("--bounces", view.bounces,
                  "Scattering events after the camera ray; 0 shows the lights alone")
-      ->check(CLI::Range(0U, kBouncesMax))
+      ->type_name("N")
+      ->check(in_range(0U, kBouncesMax))
       ->capture_default_str()
       ->group(kGroup);
   app.add_option("--seed", view.seed, "Another number gives other noise")
+      ->type_name("N")
       ->capture_default_str()
       ->group(kGroup);
   add_parsed_option(app, "--sky", view.sky, &parse_radiance,
@@ -147,6 +151,7 @@ void add_view_options(CLI::App& app, ViewOptions& view) {
 }
 
 void add_scene_options(CLI::App& app, SceneOptions& scene) {
+  app.option_defaults()->multi_option_policy(CLI::MultiOptionPolicy::TakeLast);
   app.add_option("SCENE", scene.scene,
                  "A .gltf, .glb or .obj file, a compiled store, or demo: the built-in scene "
                  "(demo:10M for about ten million triangles)")

@@ -50,6 +50,12 @@ CLI::Option* add_parsed_option(CLI::App& app, const std::string& name, Target& t
   return app.add_option_function<std::string>(name, set, help);
 }
 
+// A check whose limits the help does not spell out beside every option.
+template <class Number>
+CLI::Validator in_range(Number low, Number high) {
+  return CLI::Range(low, high).description("");
+}
+
 // From where, how large and how well to look. What is absent is decided by the scene.
 struct ViewOptions {
   std::optional<std::string> camera{};  // name, or index from 0
@@ -64,6 +70,7 @@ struct ViewOptions {
   std::optional<Vec3> sky{};
 };
 
+// Of an option given several times the last one counts.
 void add_view_options(CLI::App& app, ViewOptions& view);
 
 // Which scene, and how it is compiled where it is not a store already.

@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <vector>
 
+#include "common/content_hash.h"
+
 namespace preheat {
 namespace {
 
@@ -60,14 +62,13 @@ Json vector_json(const Vec3d& vector) { return {vector.x, vector.y, vector.z}; }
 Json scene_json(const Store& store, const Features& features) {
   const StoreInfo& info = store.info();
   const SceneTables& tables = store.tables();
-  const Hash128 hash = store.scene_hash();
   return {{"file", info.source_file},
           {"triangles", tables.triangle_count},
           {"voxels", tables.voxels.size()},
           {"bytes", store.file_bytes()},
           {"resident_bytes", tables.resident_bytes()},
           {"resident_bytes_min", tables.resident_bytes_min()},
-          {"hash", fmt::format("{:016x}{:016x}", hash.high, hash.low)},
+          {"hash", to_string(store.scene_hash())},
           {"features_modelled", features.modelled()},
           {"features_left_out", features.left_out()},
           {"import",

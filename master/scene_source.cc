@@ -13,7 +13,8 @@
 #include <string_view>
 #include <system_error>
 
-#include "common/hash.h"
+#include "common/content_hash.h"
+#include "common/store_format.h"
 #include "master/compiler.h"
 #include "master/demo_scene.h"
 #include "master/import.h"
@@ -29,7 +30,7 @@ constexpr std::string_view kDemo = "demo";
 Result<Hash128> hash_source(const SceneOptions& options, std::uint64_t demo) {
   if (demo == 0) { return hash_scene_files(options.scene); }
   const std::string name = fmt::format("demo {} version {}", demo, kDemoVersion);
-  return hash128(std::as_bytes(std::span(name)));
+  return content_hash(std::as_bytes(std::span(name)));
 }
 
 Result<fs::path> cache_folder(const SceneOptions& options) {
@@ -58,11 +59,11 @@ Result<fs::path> cached_store(const SceneOptions& options, const Hash128& source
   const std::string key =
       fmt::format("{:016x}{:016x} voxel {} store {} preheat {}", source.high, source.low,
                   options.voxel_size_bytes, kStoreVersion, PREHEAT_VERSION);
-  const Hash128 name = hash128(std::as_bytes(std::span(key)));
+  const Hash128 name = content_hash(std::as_bytes(std::span(key)));
   std::string stem = fs::path(options.scene).stem().string();
   std::replace_if(
       stem.begin(), stem.end(), [](unsigned char c) { return std::isalnum(c) == 0; }, '_');
-  return *folder / fmt::format("{}-{:016x}{:016x}.store", stem.substr(0, 64), name.high, name.low);
+  return *folder / fmt::format("{}-{}.store", stem.substr(0, 64), to_string(name));
 }
 
 Result<OpenedScene> compile_to(const SceneOptions& options, std::uint64_t demo,
@@ -85,11 +86,10 @@ Result<OpenedScene> compile_to(const SceneOptions& options, std::uint64_t demo,
 // What is neither a store nor a scene by its name is said to be a damaged store only if it is
 // called one; the importer knows best which formats there are.
 bool is_store(const fs::path& file) {
-  std::array<char, sizeof(kStoreMagic)> magic{};
+  std::array<char, kStoreMagic.size()> magic{};
   std::ifstream stream(file, std::ios::binary);
   stream.read(magic.data(), magic.size());
-  const bool has_magic = stream.gcount() == static_cast<std::streamsize>(magic.size()) &&
-                         std::equal(magic.begin(), magic.end(), std::begin(kStoreMagic));
+  const bool has_magic = stream && magic == kStoreMagic;
   return has_magic || file.extension() == ".store";
 }
 

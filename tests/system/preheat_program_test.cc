@@ -1,0 +1,154 @@
+// The `preheat` program as its users meet it: exit codes, one clear line, files.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <sys/wait.h>
+
+#include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <nlohmann/json.hpp>
+#include <string>
+
+namespace {
+
+namespace fs = std::filesystem;
+using ::testing::HasSubstr;
+
+struct Outcome {
+  int exit_code = -1;
+  std::string standard_output{};
+  std::string standard_error{};
+};
+
+class Program : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    std::string name = (fs::temp_directory_path() / "preheat_program_XXXXXX").string();
+    folder_ = ::mkdtemp(name.data());
+    std::ofstream(path("scene.obj")) << "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n";
+  }
+  void TearDown() override { fs::remove_all(folder_); }
+
+  [[nodiscard]] std::string path(const std::string& name) const {
+    return (folder_ / name).string();
+  }
+  [[nodiscard]] std::string content(const std::string& name) const {
+    std::ifstream stream(path(name), std::ios::binary);
+    return {std::istreambuf_iterator<char>(stream), {}};
+  }
+  [[nodiscard]] Outcome preheat(const std::string& arguments) const {
+    const std::string command = "cd " + folder_.string() + " && XDG_CACHE_HOME=" + path("cache") +
+                                " " PREHEAT_PROGRAM_DIR "/preheat " + arguments +
+                                " >stdout.txt 2>stderr.txt";
+    const int status = std::system(command.c_str());
+    return {WEXITSTATUS(status), content("stdout.txt"), content("stderr.txt")};
+  }
+
+  fs::path folder_{};
+};
+
+constexpr const char* kSmall = " --local --size 32x24 --spp 2 --threads 1 ";
+
+TEST_F(Program, RendersAnObjectUnderTheSkyAndReportsIt) {
+  const Outcome outcome =
+      preheat(std::string("render scene.obj -o a.exr --report a.json") + kSmall);
+
+  ASSERT_EQ(outcome.exit_code, 0) << outcome.standard_error;
+  EXPECT_EQ(outcome.standard_output, "");
+  EXPECT_THAT(outcome.standard_error, HasSubstr("compiling scene.obj"));
+  const auto report = nlohmann::json::parse(content("a.json"));
+  EXPECT_EQ(report["image"]["width"], 32);
+  EXPECT_EQ(report["rays"]["camera"], 32 * 24 * 2);
+  EXPECT_EQ(report["scene"]["triangles"], 2);
+  EXPECT_THAT(report["settings"]["sky_source"].get<std::string>(), HasSubstr("no light"));
+}
+
+TEST_F(Program, TheSecondRunCompilesNothingAndGivesTheSameBits) {
+  ASSERT_EQ(preheat(std::string("render scene.obj -o a.exr") + kSmall).exit_code, 0);
+  const Outcome second = preheat(std::string("render scene.obj -o b.exr") + kSmall);
+  const Outcome compared = preheat("compare a.exr b.exr --json -");
+
+  EXPECT_EQ(second.exit_code, 0);
+  EXPECT_EQ(second.standard_error.find("compiling"), std::string::npos);
+  ASSERT_EQ(compared.exit_code, 0) << compared.standard_error;
+  EXPECT_EQ(nlohmann::json::parse(compared.standard_output)["pixels_differing"], 0);
+}
+
+TEST_F(Program, ACompiledStoreRendersToTheSameBitsAsItsSource) {
+  ASSERT_EQ(preheat("compile scene.obj -o scene.store").exit_code, 0);
+  ASSERT_EQ(preheat(std::string("render scene.obj -o a.exr") + kSmall).exit_code, 0);
+  ASSERT_EQ(preheat(std::string("render scene.store -o b.exr") + kSmall).exit_code, 0);
+
+  EXPECT_EQ(nlohmann::json::parse(preheat("compare a.exr b.exr --json -").standard_output)["mse"],
+            0.0);
+}
+
+TEST_F(Program, PredictsAsTableJsonAndCsv) {
+  const Outcome table = preheat("predict scene.obj --size 32x24 --spp 2 --json p.json --csv p.csv");
+
+  ASSERT_EQ(table.exit_code, 0) << table.standard_error;
+  EXPECT_THAT(table.standard_output, HasSubstr("rays expected"));
+  const auto json = nlohmann::json::parse(content("p.json"));
+  EXPECT_EQ(json["rays_expected"]["camera"], 32.0 * 24.0 * 2.0);
+  EXPECT_THAT(content("p.csv"),
+              HasSubstr("voxel,rays_camera,rays_scatter,rays_shadow,rays,resident_bytes\n0,"));
+}
+
+struct Case {
+  const char* name;
+  const char* arguments;
+  int exit_code;
+  const char* message;  // somewhere in the one line on stderr
+};
+
+class Refused : public Program, public ::testing::WithParamInterface<Case> {};
+
+TEST_P(Refused, WithItsExitCodeAndOneLine) {
+  const Outcome outcome = preheat(GetParam().arguments);
+
+  EXPECT_EQ(outcome.exit_code, GetParam().exit_code);
+  EXPECT_EQ(outcome.standard_output, "");
+  EXPECT_THAT(outcome.standard_error, HasSubstr(GetParam().message));
+  EXPECT_EQ(std::count(outcome.standard_error.begin(), outcome.standard_error.end(), '\n'), 1)
+      << outcome.standard_error;
+  EXPECT_FALSE(fs::exists(path("a.png")));
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    Program, Refused,
+    ::testing::Values(
+        Case{"no_command", "", 2, "the commands are: compile inspect"},
+        Case{"unknown_command", "rendr scene.obj", 2, "'rendr' is not a command"},
+        Case{"no_scene", "render -o a.png", 2, "SCENE is required"},
+        Case{"no_output", "render scene.obj", 2, "--output is required"},
+        Case{"unknown_option", "render scene.obj -o a.png --frobnicate", 2, "--frobnicate"},
+        Case{"image_format", "render scene.obj -o a.jpg", 2, ".png or .exr"},
+        Case{"image_size", "render scene.obj -o a.png --size 0x5", 2, "1..65536"},
+        Case{"samples", "render scene.obj -o a.png --spp 0", 2, "--spp: Value 0 not in range 1"},
+        Case{"bounces", "render scene.obj -o a.png --bounces 65", 2, "64"},
+        Case{"cache_text", "render scene.obj -o a.png --cache 101%", 2, "'101%'"},
+        Case{"address", "render scene.obj -o a.png --listen localhost", 2, "tcp://"},
+        Case{"two_places", "render scene.obj -o a.png --local --workers 2", 2, "excludes"},
+        Case{"model", "render scene.obj -o a.png --preload guess", 2, "guess"},
+        Case{"demo_size", "render demo:7 -o a.png", 2, "demo:7"},
+        Case{"output_folder", "render scene.obj -o missing/a.png", 6, "missing/a.png"},
+        Case{"report_folder", "render scene.obj -o a.png --report missing/a.json", 6,
+             "missing/a.json"},
+        Case{"missing_scene", "render missing.gltf -o a.png", 9, "missing.gltf"},
+        Case{"missing_store", "render missing.store -o a.png", 5, "missing.store"},
+        Case{"missing_image", "compare a.exr b.exr", 1, "a.exr"}),
+    [](const auto& test) { return std::string(test.param.name); });
+
+TEST_F(Program, ExplainsItself) {
+  for (const char* command : {"", "compile", "inspect", "predict", "render", "compare"}) {
+    const Outcome help = preheat(std::string(command) + " --help");
+    EXPECT_EQ(help.exit_code, 0);
+    EXPECT_THAT(help.standard_output, HasSubstr("Usage: preheat"));
+    EXPECT_EQ(help.standard_error, "");
+  }
+  EXPECT_THAT(preheat("--version").standard_output, HasSubstr("preheat 0."));
+}
+
+}  // namespace
