@@ -408,7 +408,7 @@ BsdfSample Bsdf::sample(float u_lobe, const RandomPair& u_direction) const {
   }
   const BsdfValue value = evaluate(sample.direction);
   if (!(value.pdf_solid_angle > 0.0F) || !std::isfinite(value.pdf_solid_angle)) { return {}; }
-  sample.weight = value.value_cos / value.pdf_solid_angle;
+  sample.weight = value.value_cos * (1.0F / value.pdf_solid_angle);
   sample.pdf_solid_angle = value.pdf_solid_angle;
   sample.index_squared = index_squared(sample.direction.z < 0.0F);
   return sample;

@@ -168,7 +168,7 @@ LightSample Lights::sample_triangle(const TriangleLight& light, const Vec3& posi
   const Vec3 to_light = point - position;
   const float distance_squared = glm::dot(to_light, to_light);
   if (!(distance_squared > 0.0F)) { return {}; }
-  sample.direction = to_light / std::sqrt(distance_squared);
+  sample.direction = to_light * (1.0F / std::sqrt(distance_squared));
   const float cos_light = -glm::dot(light.normal, sample.direction);
   if (cos_light == 0.0F || (cos_light < 0.0F && !light.double_sided)) { return {}; }
   sample.point = offset_origin(point, light.position_error, light.normal, -sample.direction);
@@ -192,7 +192,7 @@ LightSample Lights::sample_punctual(const PunctualLight& light, const Vec3& posi
   if (!(distance_squared > 0.0F)) { return {}; }
   const float distance = std::sqrt(distance_squared);
   sample.point = light.position;
-  sample.direction = to_light / distance;
+  sample.direction = to_light * (1.0F / distance);
   float factor = range_factor(light.range, distance);
   if (light.kind == PunctualLightKind::kSpot) {
     factor *= spot_factor(light, -glm::dot(light.direction, sample.direction));

@@ -221,13 +221,13 @@ struct DiskPoint {
 [[nodiscard]] inline DiskPoint disk_from_square(float u, float v) {
   const float a = 2.0F * u - 1.0F;
   const float b = 2.0F * v - 1.0F;
-  if (a == 0.0F && b == 0.0F) { return {}; }
-  if (a * a > b * b) {
-    const SinCos angle = sin_cos_octant(kPi / 4.0F * (b / a));
-    return {a * angle.cos, a * angle.sin};
-  }
-  const SinCos angle = sin_cos_octant(kPi / 4.0F * (a / b));
-  return {b * angle.sin, b * angle.cos};
+  const bool wide = a * a > b * b;
+  const float radius = wide ? a : b;
+  if (radius == 0.0F) { return {}; }
+  const SinCos angle = sin_cos_octant(kPi / 4.0F * ((wide ? b : a) / radius));
+  const float along = radius * angle.cos;
+  const float across = radius * angle.sin;
+  return {wide ? along : across, wide ? across : along};
 }
 
 // Density cos/pi around +z.

@@ -30,6 +30,24 @@ constexpr std::size_t kChunkReferences = std::size_t{1} << 13;
 
 constexpr int kAnyDirection = 3;
 
+// The axis that is the cross product of an edge and the coordinate axis kAcross. A template so that
+// no component is looked up by a variable: this is the innermost code of the build.
+template <int kAcross, class Visit>
+[[nodiscard]] bool visit_edge_axis(const Vec3d& from, const Vec3d& along, const Vec3d& opposite,
+                                   const Vec3d& reach, Visit&& visit) {
+  constexpr int kU = (kAcross + 1) % 3;
+  constexpr int kV = (kAcross + 2) % 3;
+  Vec3d weights(0.0);
+  weights[kU] = -along[kV];
+  weights[kV] = along[kU];
+  // Both ends of the edge project to the same value.
+  const double at_edge = weights[kU] * from[kU] + weights[kV] * from[kV];
+  const double at_opposite = weights[kU] * opposite[kU] + weights[kV] * opposite[kV];
+  const double radius = std::abs(weights[kU]) * reach[kU] + std::abs(weights[kV]) * reach[kV];
+  return visit(kAcross, weights, std::min(at_edge, at_opposite) - radius,
+               std::max(at_edge, at_opposite) + radius);
+}
+
 // Calls visit(across, weights, low, high) for the ten axes on which a triangle and a box may be
 // separated besides the box's own normals, until visit returns false: a box of the given half
 // extent overlaps the triangle only if low <= dot(weights, its centre) <= high on every one. Nine
@@ -42,41 +60,26 @@ constexpr int kAnyDirection = 3;
 template <class Visit>
 void for_each_axis(const std::array<Vec3d, 3>& vertices, const Vec3d& half_extent, Visit&& visit) {
   constexpr double kSlack = 1.0 / static_cast<double>(std::uint64_t{1} << 48U);
-  double magnitude = half_extent.x + half_extent.y + half_extent.z;
-  for (const Vec3d& vertex : vertices) {
-    magnitude += std::abs(vertex.x) + std::abs(vertex.y) + std::abs(vertex.z);
-  }
+  const auto sum_of = [](const Vec3d& v) { return v.x + v.y + v.z; };
+  double magnitude = sum_of(half_extent);
+  for (const Vec3d& vertex : vertices) { magnitude += sum_of(glm::abs(vertex)); }
   const Vec3d reach = half_extent + Vec3d(kSlack * magnitude);
 
-  const Vec3d side = vertices[1] - vertices[0];
-  const Vec3d other_side = vertices[2] - vertices[0];
-  const Vec3d normal = glm::cross(side, other_side);
+  const std::array<Vec3d, 3> along{vertices[1] - vertices[0], vertices[2] - vertices[1],
+                                   vertices[0] - vertices[2]};
+  const Vec3d normal = glm::cross(along[0], along[1]);
   const double offset = glm::dot(normal, vertices[0]);
-  const double plane_radius =
-      glm::dot(glm::abs(normal), reach) +
-      kSlack * magnitude * (std::abs(side.x) + std::abs(side.y) + std::abs(side.z)) *
-          (std::abs(other_side.x) + std::abs(other_side.y) + std::abs(other_side.z));
-  if (!visit(kAnyDirection, normal, offset - plane_radius, offset + plane_radius)) { return; }
-
+  const double radius = glm::dot(glm::abs(normal), reach) + kSlack * magnitude *
+                                                                sum_of(glm::abs(along[0])) *
+                                                                sum_of(glm::abs(along[1]));
+  if (!visit(kAnyDirection, normal, offset - radius, offset + radius)) { return; }
   for (std::size_t edge = 0; edge < 3; ++edge) {
     const Vec3d& from = vertices[edge];
     const Vec3d& opposite = vertices[(edge + 2) % 3];
-    const Vec3d along = vertices[(edge + 1) % 3] - from;
-    for (int across = 0; across < 3; ++across) {
-      const int u = (across + 1) % 3;
-      const int v = (across + 2) % 3;
-      // Both ends of the edge project to the same value.
-      Vec3d weights(0.0);
-      weights[u] = -along[v];
-      weights[v] = along[u];
-      const double at_edge = weights[u] * from[u] + weights[v] * from[v];
-      const double at_opposite = weights[u] * opposite[u] + weights[v] * opposite[v];
-      const double radius = std::abs(weights[u]) * reach[u] + std::abs(weights[v]) * reach[v];
-      if (!visit(across, weights, std::min(at_edge, at_opposite) - radius,
-                 std::max(at_edge, at_opposite) + radius)) {
-        return;
-      }
-    }
+    const bool go_on = visit_edge_axis<0>(from, along[edge], opposite, reach, visit) &&
+                       visit_edge_axis<1>(from, along[edge], opposite, reach, visit) &&
+                       visit_edge_axis<2>(from, along[edge], opposite, reach, visit);
+    if (!go_on) { return; }
   }
 }
 
@@ -88,7 +91,11 @@ void for_each_axis(const std::array<Vec3d, 3>& vertices, const Vec3d& half_exten
 // Which children of one cell a triangle overlaps. A set of children is a byte, bit i for child i.
 class CellSplit {
  public:
-  explicit CellSplit(const Aabb& cell) : cell_(cell), split_(split_point(cell)) {
+  explicit CellSplit(const Aabb& cell)
+      : cell_(cell),
+        split_(split_point(cell)),
+        lower_end_(split_ + Vec3(kVoxelMargin)),
+        upper_begin_(split_ - Vec3(kVoxelMargin)) {
     for (const unsigned octant : {0U, 7U}) {  // the lower and the upper half on each axis
       const Aabb child = grown_cell(child_cell(cell, octant));
       centres_[octant & 1U] = centre_of(child);
@@ -98,16 +105,14 @@ class CellSplit {
 
   // Requires: the triangle overlaps the grown cell.
   [[nodiscard]] unsigned children_of(const Vec3& a, const Vec3& b, const Vec3& c) const {
-    unsigned possible = kAll;
-    bool inside = true;
-    for (int axis = 0; axis < 3; ++axis) {
-      const float low = std::min({a[axis], b[axis], c[axis]});
-      const float high = std::max({a[axis], b[axis], c[axis]});
-      if (low > split_[axis] + kVoxelMargin) { possible &= upper_half(axis); }
-      if (high < split_[axis] - kVoxelMargin) { possible &= ~upper_half(axis); }
-      inside = inside && low >= cell_.low[axis] && high <= cell_.high[axis];
-    }
+    const Vec3 low = glm::min(glm::min(a, b), c);
+    const Vec3 high = glm::max(glm::max(a, b), c);
+    const unsigned possible = on_sides(low.x, high.x, lower_end_.x, upper_begin_.x, kUpperX) &
+                              on_sides(low.y, high.y, lower_end_.y, upper_begin_.y, kUpperY) &
+                              on_sides(low.z, high.z, lower_end_.z, upper_begin_.z, kUpperZ);
     if (is_one(possible)) { return possible; }
+    const bool inside = low.x >= cell_.low.x && low.y >= cell_.low.y && low.z >= cell_.low.z &&
+                        high.x <= cell_.high.x && high.y <= cell_.high.y && high.z <= cell_.high.z;
     // Of a triangle that lies in the cell, the children that hold its vertices are certain.
     const unsigned certain = inside ? child_at(a) | child_at(b) | child_at(c) : 0U;
     return certain == possible ? certain
@@ -115,10 +120,18 @@ class CellSplit {
   }
 
  private:
-  static constexpr unsigned kAll = 0xFF;
+  // The children in the upper half on each axis.
+  static constexpr unsigned kUpperX = 0xAA;
+  static constexpr unsigned kUpperY = 0xCC;
+  static constexpr unsigned kUpperZ = 0xF0;
 
   [[nodiscard]] static constexpr unsigned upper_half(int axis) {
-    return axis == 0 ? 0xAAU : axis == 1 ? 0xCCU : 0xF0U;
+    return axis == 0 ? kUpperX : axis == 1 ? kUpperY : kUpperZ;
+  }
+  // The children that an interval reaches on one axis, where `upper` are those in the upper half.
+  [[nodiscard]] static unsigned on_sides(float low, float high, float lower_end, float upper_begin,
+                                         unsigned upper) {
+    return (low <= lower_end ? ~upper & 0xFFU : 0U) | (high >= upper_begin ? upper : 0U);
   }
   [[nodiscard]] static bool is_one(unsigned children) { return (children & (children - 1)) == 0; }
 
@@ -166,6 +179,8 @@ class CellSplit {
 
   Aabb cell_;
   Vec3 split_;
+  Vec3 lower_end_;    // of the grown lower children
+  Vec3 upper_begin_;  // of the grown upper children
   Vec3d half_extent_{0.0};
   std::array<Vec3d, 2> centres_{};  // of the lower and the upper children, by axis
 };

@@ -1,7 +1,6 @@
 #include "common/path.h"
 
 #include <cmath>
-#include <optional>
 
 #include "common/math.h"
 #include "common/path_rules.h"
@@ -39,6 +38,7 @@ struct Vertex {
   const SurfaceHit& hit;
   Vec3 normal_geometric;
   OrthonormalFrame frame;
+  bool is_visible;  // false where rounding leaves no side to see: the path ends
   Bsdf bsdf;
 
   // A direction is used only where the true surface and the shading normal agree on its side;
@@ -49,16 +49,14 @@ struct Vertex {
   }
 };
 
-std::optional<Vertex> make_vertex(const SurfaceHit& hit, const PreparedMaterial& material,
-                                  const Vec3& out) {
+Vertex make_vertex(const SurfaceHit& hit, const PreparedMaterial& material, const Vec3& out) {
   const float cos_geometric = glm::dot(hit.normal_geometric, out);
-  if (!(std::abs(cos_geometric) > 0.0F)) { return std::nullopt; }
   const bool front = cos_geometric > 0.0F;
   const float side = front ? 1.0F : -1.0F;
   const OrthonormalFrame frame(shading_normal_towards(hit.normal_shading * side, out));
   const Vec3 out_local = frame.local_from_scene(out);
-  if (!(out_local.z > 0.0F)) { return std::nullopt; }
-  return Vertex{hit, hit.normal_geometric * side, frame, Bsdf(material, out_local, front)};
+  return {hit, hit.normal_geometric * side, frame,
+          std::abs(cos_geometric) > 0.0F && out_local.z > 0.0F, Bsdf(material, out_local, front)};
 }
 
 void sample_light(const Vertex& vertex, const Lights& lights, std::uint32_t u_choice,
@@ -83,7 +81,7 @@ void sample_light(const Vertex& vertex, const Lights& lights, std::uint32_t u_ch
     const Vec3 to_light = light.point - shadow.origin;
     const float distance = std::sqrt(glm::dot(to_light, to_light));
     if (!(distance > 0.0F)) { return; }
-    shadow.direction = to_light / distance;
+    shadow.direction = to_light * (1.0F / distance);
     shadow.t_max = distance * kShadowReach;
   }
   result.has_shadow_ray = true;
@@ -138,24 +136,24 @@ ShadedVertex Shading::shade_hit(const Ray& ray, const SurfaceHit& hit, PathState
   const PreparedMaterial& material = materials_[hit.material];
   add_emission(hit, material, glm::dot(hit.normal_geometric, out), path);
   if (!may_scatter(path.bounce, settings_.bounces)) { return result; }
-  const std::optional<Vertex> vertex = make_vertex(hit, material, out);
-  if (!vertex) { return result; }
+  const Vertex vertex = make_vertex(hit, material, out);
+  if (!vertex.is_visible) { return result; }
 
   const auto random = [&](Dimension dimension) {
     return rng_.pair(path.pixel, path.sample, path.bounce, dimension);
   };
   const RandomPair choice = random(Dimension::kChoice);
-  if (!lights_.empty() && !vertex->bsdf.is_delta()) {
-    sample_light(*vertex, lights_, choice.x_bits, random(Dimension::kLight), path.throughput,
+  if (!lights_.empty() && !vertex.bsdf.is_delta()) {
+    sample_light(vertex, lights_, choice.x_bits, random(Dimension::kLight), path.throughput,
                  result);
   }
   if (!may_continue(path.bounce, settings_.bounces, lights_.emission_can_be_met())) {
     return result;
   }
 
-  const BsdfSample scattered = vertex->bsdf.sample(choice.y(), random(Dimension::kDirection));
-  const Vec3 direction = vertex->frame.scene_from_local(scattered.direction);
-  if (!vertex->sides_agree(direction, scattered.direction.z)) { return result; }
+  const BsdfSample scattered = vertex.bsdf.sample(choice.y(), random(Dimension::kDirection));
+  const Vec3 direction = vertex.frame.scene_from_local(scattered.direction);
+  if (!vertex.sides_agree(direction, scattered.direction.z)) { return result; }
   const Vec3 throughput = path.throughput * scattered.weight;
   if (!carries_light(throughput)) { return result; }
   const float survival = roulette_survival(path.bounce + 1, throughput * scattered.index_squared);
@@ -163,7 +161,7 @@ ShadedVertex Shading::shade_hit(const Ray& ray, const SurfaceHit& hit, PathState
 
   result.has_scatter_ray = true;
   result.scatter.origin =
-      offset_origin(hit.position, hit.position_error, vertex->normal_geometric, direction);
+      offset_origin(hit.position, hit.position_error, vertex.normal_geometric, direction);
   result.scatter.direction = glm::normalize(direction);
   path.throughput = throughput / survival;
   path.pdf_solid_angle = scattered.pdf_solid_angle;

@@ -46,8 +46,12 @@ class StageClock {
   return fail(ExitCode::kSceneRejected, "scene: " + std::move(what));
 }
 
+// At most kNameBytesMax bytes, and no half of a UTF-8 character at the end.
 [[nodiscard]] std::string shortened(const std::string& text) {
-  return text.substr(0, kNameBytesMax);
+  if (text.size() <= kNameBytesMax) { return text; }
+  std::size_t end = kNameBytesMax;
+  while (end > 0 && (static_cast<unsigned char>(text[end]) & 0xC0U) == 0x80U) { --end; }
+  return text.substr(0, end);
 }
 
 // What the store's format, and every worker, has a limit for.

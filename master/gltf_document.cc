@@ -17,6 +17,18 @@ using Json = nlohmann::json;
 constexpr std::size_t kJsonBytesMax = std::size_t{256} << 20U;
 // Reading JSON into structs recurses, so its depth is bounded before.
 constexpr int kJsonDepthMax = 128;
+// The structs for an element are some hundred times larger than its shortest JSON, so their number
+// is bounded before they are made.
+struct ArrayLimit {
+  const char* key;
+  std::size_t count;
+};
+constexpr std::array kArrayLimits{
+    ArrayLimit{"accessors", 1U << 21U}, ArrayLimit{"bufferViews", 1U << 21U},
+    ArrayLimit{"buffers", 1U << 16U},   ArrayLimit{"cameras", 1U << 16U},
+    ArrayLimit{"materials", 1U << 16U}, ArrayLimit{"meshes", 1U << 20U},
+    ArrayLimit{"nodes", 1U << 20U},     ArrayLimit{"scenes", 1U << 16U},
+};
 constexpr std::uint32_t kGlbMagic = 0x46546C67;      // "glTF"
 constexpr std::uint32_t kGlbChunkJson = 0x4E4F534A;  // "JSON"
 constexpr std::uint32_t kGlbChunkBinary = 0x004E4942;
@@ -327,10 +339,22 @@ Result<void> check_extensions(const Json& json, GltfDocument& document) {
   return {};
 }
 
+Result<void> check_array_sizes(const Json& json) {
+  for (const ArrayLimit& limit : kArrayLimits) {
+    const auto array = json.find(limit.key);
+    if (array != json.end() && array->size() > limit.count) {
+      return rejected(
+          fmt::format("{} {}, at most {} are read", array->size(), limit.key, limit.count));
+    }
+  }
+  return {};
+}
+
 Result<Json> parse_and_check(std::string_view text) {
   auto json = parse_json(text);
   if (!json) { return json; }
   if (auto checked = check_version(*json); !checked) { return tl::unexpected(checked.error()); }
+  if (auto checked = check_array_sizes(*json); !checked) { return tl::unexpected(checked.error()); }
   return json;
 }
 

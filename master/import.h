@@ -3,7 +3,7 @@
 // Files are untrusted. Whatever is wrong with one is an Error with kSceneRejected and a message
 // that names the file and the fault: nothing outside the scene's folder is opened, no count is
 // believed before it was compared with the bytes that are there, and no input makes the process
-// crash, hang or allocate more than a small multiple of the files' size.
+// crash, hang or allocate out of proportion to the files' size.
 // Textures are not read: the factor that a texture would scale is used, and a note says so.
 #pragma once
 

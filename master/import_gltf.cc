@@ -5,7 +5,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <map>
+#include <deque>
 #include <memory>
 #include <numbers>
 #include <optional>
@@ -22,6 +22,7 @@ namespace preheat {
 namespace {
 
 constexpr std::size_t kNodeDepthMax = 1000;
+constexpr std::size_t kMeshInstancesMax = std::size_t{1} << 22U;
 
 tl::unexpected<Error> rejected(std::string message) {
   return fail(ExitCode::kSceneRejected, std::move(message));
@@ -40,6 +41,11 @@ struct Affine {
     return glm::dot(columns[0], glm::cross(columns[1], columns[2]));
   }
 };
+
+// NaN where there is no direction. Scaled first, so that no square overflows.
+Vec3d unit(const Vec3d& v) {
+  return glm::normalize(v / std::max({std::abs(v.x), std::abs(v.y), std::abs(v.z)}));
+}
 
 Affine compose(const Affine& outer, const Affine& inner) {
   Affine result;
@@ -98,32 +104,41 @@ struct Primitive {
   int mode = TINYGLTF_MODE_TRIANGLES;
   std::uint32_t material = 0;
 
-  [[nodiscard]] std::uint64_t corner_count() const {
-    return indices ? indices->count() : positions.count();
+  [[nodiscard]] std::uint64_t triangle_count() const {
+    const std::uint64_t corners = indices ? indices->count() : positions.count();
+    if (mode == TINYGLTF_MODE_TRIANGLES) { return corners / 3; }
+    return corners < 3 ? 0 : corners - 2;
   }
 };
 
-// One primitive under one node.
+// Where a node puts what it shows.
+struct Placement {
+  explicit Placement(const Affine& world)
+      : world_from_mesh(world),
+        world_from_normal(normal_transform(world)),
+        is_mirrored(world.determinant() < 0.0) {
+    for (const Vec3d& column : world.columns) { scale = std::max(scale, glm::length(column)); }
+  }
+
+  Affine world_from_mesh;
+  Affine world_from_normal;
+  bool is_mirrored;
+  double scale = 0.0;  // the largest, along an axis of the mesh
+};
+
+// One primitive under one node. A file may multiply these, so they are small.
 class GltfMesh : public WorldMesh {
  public:
-  GltfMesh(std::shared_ptr<const Primitive> primitive, const Affine& world_from_mesh)
-      : primitive_(std::move(primitive)),
-        world_from_mesh_(world_from_mesh),
-        world_from_normal_(normal_transform(world_from_mesh)),
-        is_mirrored_(world_from_mesh.determinant() < 0.0) {
-    for (const Vec3d& column : world_from_mesh.columns) {
-      scale_ = std::max(scale_, glm::length(column));
-    }
-  }
+  // Keeps pointers to both.
+  GltfMesh(const Primitive& primitive, const Placement& placement)
+      : primitive_(&primitive), placement_(&placement) {}
 
   [[nodiscard]] std::string label() const override { return primitive_->label; }
   [[nodiscard]] std::uint32_t vertex_count() const override {
     return static_cast<std::uint32_t>(primitive_->positions.count());
   }
   [[nodiscard]] std::uint64_t triangle_count() const override {
-    const std::uint64_t corners = primitive_->corner_count();
-    if (primitive_->mode == TINYGLTF_MODE_TRIANGLES) { return corners / 3; }
-    return corners < 3 ? 0 : corners - 2;
+    return primitive_->triangle_count();
   }
 
   // glTF 2.0 section 3.7.2.1.
@@ -139,22 +154,22 @@ class GltfMesh : public WorldMesh {
       default:
         at = {index * 3, index * 3 + 1, index * 3 + 2};
     }
-    if (is_mirrored_) { std::swap(at[1], at[2]); }
+    if (placement_->is_mirrored) { std::swap(at[1], at[2]); }
     return {{vertex(at[0]), vertex(at[1]), vertex(at[2])}, primitive_->material};
   }
 
   [[nodiscard]] Vec3d position(std::uint32_t vertex) const override {
-    return world_from_mesh_.point(primitive_->positions.vec3(vertex));
+    return placement_->world_from_mesh.point(primitive_->positions.vec3(vertex));
   }
   [[nodiscard]] Vec3d normal(std::uint32_t vertex) const override {
     if (!primitive_->normals) { return Vec3d{0.0}; }
-    return world_from_normal_.direction(primitive_->normals->vec3(vertex));
+    return placement_->world_from_normal.direction(primitive_->normals->vec3(vertex));
   }
   [[nodiscard]] double coordinate_spacing(std::uint32_t vertex) const override {
     if (!primitive_->positions.is_float()) { return 0.0; }
     const Vec3d p = primitive_->positions.vec3(vertex);
     const double largest = std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
-    return largest > 0.0 ? std::ldexp(scale_, std::ilogb(largest) - 23) : 0.0;
+    return largest > 0.0 ? std::ldexp(placement_->scale, std::ilogb(largest) - 23) : 0.0;
   }
 
  private:
@@ -163,14 +178,11 @@ class GltfMesh : public WorldMesh {
                                : static_cast<std::uint32_t>(corner);
   }
 
-  std::shared_ptr<const Primitive> primitive_;
-  Affine world_from_mesh_;
-  Affine world_from_normal_;
-  double scale_ = 0.0;
-  bool is_mirrored_;
+  const Primitive* primitive_;
+  const Placement* placement_;
 };
 
-// Walks the nodes of a document and collects what they show.
+// Walks the nodes of a document and collects what they show. The draft points into it.
 class GltfImport {
  public:
   explicit GltfImport(const GltfDocument& document) : document_(document), model_(document.model) {}
@@ -207,7 +219,7 @@ class GltfImport {
         if (!primitive) {
           return rejected(fmt::format("{}: {}", label, primitive.error().message));
         }
-        primitives_[mesh].push_back(std::make_shared<const Primitive>(*std::move(primitive)));
+        if (primitive->triangle_count() > 0) { primitives_[mesh].push_back(*std::move(primitive)); }
       }
     }
     return {};
@@ -330,8 +342,13 @@ class GltfImport {
         return rejected(fmt::format("node {}: there is no mesh {}", index, node.mesh));
       }
       if (node.skin >= 0) { ++skinned_nodes_; }
-      for (const auto& primitive : primitives_[static_cast<std::size_t>(node.mesh)]) {
-        draft_.meshes.push_back(std::make_unique<GltfMesh>(primitive, world));
+      const auto& primitives = primitives_[static_cast<std::size_t>(node.mesh)];
+      if (draft_.meshes.size() + primitives.size() > kMeshInstancesMax) {
+        return rejected(fmt::format("more than {} meshes in the nodes", kMeshInstancesMax));
+      }
+      const Placement& placement = placements_.emplace_back(world);
+      for (const Primitive& primitive : primitives) {
+        draft_.meshes.push_back(std::make_unique<GltfMesh>(primitive, placement));
       }
     }
     if (node.camera >= 0) {
@@ -357,8 +374,8 @@ class GltfImport {
     camera.vertical_fov_rad = source.perspective.yfov;
     camera.height_file = 2.0 * std::abs(source.orthographic.ymag);
     // A node's scale does not reach its camera, so only the axes' directions count.
-    camera.forward = glm::normalize(-world.columns[2]);
-    camera.right = glm::normalize(glm::cross(camera.forward, world.columns[1]));
+    camera.forward = unit(-world.columns[2]);
+    camera.right = unit(glm::cross(camera.forward, unit(world.columns[1])));
     camera.up = glm::cross(camera.right, camera.forward);
     const bool is_lens_valid = camera.orthographic ? camera.height_file > 0.0
                                                    : camera.vertical_fov_rad > 0.0 &&
@@ -390,7 +407,7 @@ class GltfImport {
     light.position_file = world.origin;
     light.intensity_file = tint * std::max(source.intensity, 0.0);
     light.range_file = std::max(source.range, 0.0);
-    light.light.direction = Vec3(glm::normalize(-world.columns[2]));
+    light.light.direction = Vec3(unit(-world.columns[2]));
     const float sum = light.light.direction.x + light.light.direction.y + light.light.direction.z;
     if (light.light.kind != PunctualLightKind::kPoint && !std::isfinite(sum)) {
       return rejected(fmt::format("node {}: its light has no direction", index));
@@ -423,7 +440,8 @@ class GltfImport {
   const GltfDocument& document_;
   const tinygltf::Model& model_;
   SceneDraft draft_{};
-  std::vector<std::vector<std::shared_ptr<const Primitive>>> primitives_{};  // by mesh
+  std::vector<std::vector<Primitive>> primitives_{};  // by mesh; those with triangles
+  std::deque<Placement> placements_{};                // a deque, as meshes point into it
   std::size_t primitives_without_triangles_ = 0;
   std::size_t morphed_primitives_ = 0;
   std::size_t skinned_nodes_ = 0;
@@ -435,7 +453,8 @@ class GltfImport {
 Result<Scene> import_gltf(const std::filesystem::path& file) {
   const auto document = read_gltf_document(file);
   if (!document) { return tl::unexpected(document.error()); }
-  auto draft = GltfImport(*document).run();
+  GltfImport importer(*document);
+  auto draft = importer.run();
   if (!draft) { return tl::unexpected(draft.error()); }
   return build_scene(*std::move(draft));
 }

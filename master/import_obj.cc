@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <array>
 #include <charconv>
 #include <cstdint>
@@ -27,6 +28,7 @@ constexpr std::size_t kVerticesMax = 0xFFFFFFFEU;
 // Corners that share a position but not a normal are searched for in a chain of this length; beyond
 // it a vertex is stored twice, so that no file makes the search long.
 constexpr int kSharedSearchMax = 32;
+constexpr std::size_t kLibrariesMax = 64;  // looking for one costs more than naming it
 
 tl::unexpected<Error> rejected(std::string message) {
   return fail(ExitCode::kSceneRejected, std::move(message));
@@ -60,7 +62,8 @@ class LineReader {
  private:
   std::string_view take() {
     ++number_;
-    const std::size_t end = std::min(rest_.find_first_of("\r\n"), rest_.size());
+    std::size_t end = 0;
+    while (end < rest_.size() && rest_[end] != '\n' && rest_[end] != '\r') { ++end; }
     const std::string_view line = rest_.substr(0, end);
     const bool is_pair = rest_.substr(end).starts_with("\r\n");
     rest_.remove_prefix(std::min(end + (is_pair ? 2 : 1), rest_.size()));
@@ -72,12 +75,16 @@ class LineReader {
   std::size_t number_ = 0;
 };
 
+bool is_space(char c) { return c == ' ' || c == '\t' || c == '\f' || c == '\v'; }
+
 // Takes the next word off the text; empty at its end.
 std::string_view next_word(std::string_view& text) {
-  constexpr std::string_view kSpace = " \t\f\v";
-  text.remove_prefix(std::min(text.find_first_not_of(kSpace), text.size()));
-  const std::string_view word = text.substr(0, text.find_first_of(kSpace));
-  text.remove_prefix(word.size());
+  std::size_t begin = 0;
+  while (begin < text.size() && is_space(text[begin])) { ++begin; }
+  std::size_t end = begin;
+  while (end < text.size() && !is_space(text[end])) { ++end; }
+  const std::string_view word = text.substr(begin, end - begin);
+  text.remove_prefix(end);
   return word;
 }
 
@@ -159,38 +166,57 @@ class ObjMesh : public WorldMesh {
   std::vector<Triangle> triangles_;
 };
 
-// A material library named by the file: read, missing or refused.
+// A material library that the file names: where it is, or why it is not read.
 struct LibraryName {
   std::string name{};
   Result<std::filesystem::path> path{};
 };
 
-bool exists(const Result<std::filesystem::path>& path) {
-  std::error_code ignored;
-  return path && std::filesystem::is_regular_file(*path, ignored);
-}
+// The libraries of a file in order, each once.
+class LibraryList {
+ public:
+  explicit LibraryList(const std::filesystem::path& scene_file) : scene_file_(scene_file) {}
 
-// "mtllib a.mtl b.mtl" names two libraries, or one with a space; a space may be escaped.
-std::vector<LibraryName> library_names(const std::filesystem::path& file, std::string_view text) {
-  const std::string_view whole = trim(text);
-  if (auto path = resolve_below(file, whole); exists(path)) {
-    return {{std::string(whole), std::move(path)}};
-  }
-  std::vector<LibraryName> names;
-  std::string name;
-  for (std::size_t i = 0; i <= whole.size(); ++i) {
-    const bool is_end = i == whole.size() || whole[i] == ' ' || whole[i] == '\t';
-    if (is_end && !name.empty()) {
-      auto path = resolve_below(file, name);
-      names.push_back({std::exchange(name, {}), std::move(path)});
-    } else if (!is_end) {
-      const bool is_escape = whole.substr(i).starts_with("\\ ");
-      i += is_escape ? 1 : 0;
-      name.push_back(whole[i]);
+  // "mtllib a.mtl b.mtl" names two libraries, or one with a space; a space may be escaped.
+  void add(std::string_view text) {
+    const std::string_view whole = trim(text);
+    if (auto path = resolve_below(scene_file_, whole); exists(path)) {
+      return add(std::string(whole), std::move(path));
+    }
+    std::string name;
+    for (std::size_t i = 0; i <= whole.size(); ++i) {
+      const bool is_end = i == whole.size() || whole[i] == ' ' || whole[i] == '\t';
+      if (is_end && !name.empty()) {
+        auto path = resolve_below(scene_file_, name);
+        add(std::exchange(name, {}), std::move(path));
+      } else if (!is_end) {
+        const bool is_escape = whole.substr(i).starts_with("\\ ");
+        if (is_escape) { ++i; }
+        name.push_back(whole[i]);
+      }
+      if (libraries_.size() == kLibrariesMax) { return; }
     }
   }
-  return names;
-}
+
+  [[nodiscard]] const std::vector<LibraryName>& libraries() const { return libraries_; }
+
+  static bool exists(const Result<std::filesystem::path>& path) {
+    std::error_code ignored;
+    return path && std::filesystem::is_regular_file(*path, ignored);
+  }
+
+ private:
+  void add(std::string name, Result<std::filesystem::path> path) {
+    if (libraries_.size() == kLibrariesMax) { return; }
+    const bool is_known =
+        std::any_of(libraries_.begin(), libraries_.end(),
+                    [&](const LibraryName& library) { return library.name == name; });
+    if (!is_known) { libraries_.push_back({std::move(name), std::move(path)}); }
+  }
+
+  const std::filesystem::path& scene_file_;
+  std::vector<LibraryName> libraries_;
+};
 
 class ObjReader {
  public:
@@ -214,6 +240,7 @@ class ObjReader {
  private:
   // First pass: vertices, normals and materials, which faces may name before they appear.
   Result<void> read_elements() {
+    LibraryList names(file_);
     LineReader lines(text_);
     std::string_view line;
     while (lines.next(line)) {
@@ -224,15 +251,20 @@ class ObjReader {
         auto& values = word == "v" ? mesh_->positions_ : mesh_->normals_;
         if (values.size() == kVerticesMax) { return rejected("more than 2^32 - 2 vertices"); }
         values.push_back(*value);
-      } else if (word == "mtllib") {
-        read_libraries(line);
+      } else if (word == "mtllib" && names.libraries().size() < kLibrariesMax) {
+        names.add(line);
       }
     }
+    read_libraries(names);
     return {};
   }
 
-  void read_libraries(std::string_view text) {
-    for (const LibraryName& library : library_names(file_, text)) {
+  void read_libraries(const LibraryList& names) {
+    if (names.libraries().size() == kLibrariesMax) {
+      draft_.notes.push_back(
+          fmt::format("the first {} material libraries are read", kLibrariesMax));
+    }
+    for (const LibraryName& library : names.libraries()) {
       if (!library.path) {
         draft_.notes.push_back(
             fmt::format("a material library was not read: {}", library.path.error().message));
@@ -244,7 +276,12 @@ class ObjReader {
                                            library.name, bytes.error().message));
         continue;
       }
-      library_.add(bytes->text());
+      if (!library_.add(bytes->text())) {
+        draft_.notes.push_back(
+            fmt::format("the material library '{}' was not read: more than {} "
+                        "materials",
+                        library.name, MtlLibrary::kMaterialsMax));
+      }
     }
   }
 
@@ -391,14 +428,15 @@ Result<std::vector<std::filesystem::path>> list_obj_material_files(
   if (!mapped) { return tl::unexpected(mapped.error()); }
   const auto text = text_of(*mapped);
   if (!text) { return tl::unexpected(text.error()); }
-  std::vector<std::filesystem::path> files;
+  LibraryList names(file);
   LineReader lines(*text);
   std::string_view line;
-  while (lines.next(line)) {
-    if (next_word(line) != "mtllib") { continue; }
-    for (const LibraryName& library : library_names(file, line)) {
-      if (exists(library.path)) { files.push_back(*library.path); }
-    }
+  while (names.libraries().size() < kLibrariesMax && lines.next(line)) {
+    if (next_word(line) == "mtllib") { names.add(line); }
+  }
+  std::vector<std::filesystem::path> files;
+  for (const LibraryName& library : names.libraries()) {
+    if (LibraryList::exists(library.path)) { files.push_back(*library.path); }
   }
   return files;
 }

@@ -96,7 +96,13 @@ std::string_view trim(std::string_view text) {
   return text.substr(first, text.find_last_not_of(kSpace) - first + 1);
 }
 
-void MtlLibrary::add(std::string_view mtl_text) {
+bool MtlLibrary::add(std::string_view mtl_text) {
+  constexpr std::string_view kBegin = "newmtl";
+  std::size_t count = 0;
+  for (std::size_t at = mtl_text.find(kBegin); at != std::string_view::npos;
+       at = mtl_text.find(kBegin, at + kBegin.size())) {
+    if (++count > kMaterialsMax) { return false; }
+  }
   std::istringstream stream{std::string(mtl_text)};
   std::map<std::string, int> ignored_names;
   std::vector<tinyobj::material_t> sources;
@@ -116,6 +122,7 @@ void MtlLibrary::add(std::string_view mtl_text) {
     }
     materials_.push_back(std::move(material));
   }
+  return true;
 }
 
 std::size_t MtlLibrary::find(std::string_view name) const {

@@ -29,7 +29,11 @@ namespace preheat {
 // Materials of all libraries of a file; the first of a name stays.
 class MtlLibrary {
  public:
-  void add(std::string_view mtl_text);
+  // One of tinyobjloader's materials takes kilobytes, its shortest text some bytes.
+  static constexpr std::size_t kMaterialsMax = 1U << 15U;
+
+  // False, with nothing added: more than kMaterialsMax materials.
+  [[nodiscard]] bool add(std::string_view mtl_text);
 
   [[nodiscard]] const std::vector<Material>& materials() const { return materials_; }
   // The index of a material, materials().size() if there is none of that name.

@@ -508,6 +508,88 @@ TEST(Path, DegenerateInputEndsThePath) {
   EXPECT_LE(throughput_max, 1.1e6F);
 }
 
+TEST(Path, CameraInsideALightSeesItsRadianceExactly) {
+  TriangleScene scene;
+  scene.add_box(Vec3(-0.5F), Vec3(0.5F), scene.add_material(emitter(Vec3(0.7F))), false);
+  RenderSettings settings = settings_of(4, 16, 4);
+  settings.view = look_at(Vec3(0.1F), Vec3(0.3F), 2.0F);
+
+  EXPECT_EQ(scene.render(settings).mean, static_cast<double>(mean_component(Vec3(0.7F))));
+}
+
+TEST(Path, OrthographicRaysAreParallel) {
+  RenderSettings settings = settings_of(8, 1, 0);
+  settings.view = look_at(Vec3(0.0F), Vec3(0.0F, 0.0F, -1.0F), 0.5F);
+  settings.view.orthographic = true;
+  const Shading shading(SceneTables{}, settings);
+  float reach = 0.0F;
+  for (std::uint32_t pixel = 0; pixel < 64; ++pixel) {
+    PathState path;
+    const Ray ray = shading.start_path(pixel, 0, path);
+    EXPECT_EQ(ray.direction, Vec3(0.0F, 0.0F, -1.0F));
+    EXPECT_EQ(ray.origin.z, 0.0F);
+    reach = std::max(reach, glm::length(ray.origin));
+  }
+  EXPECT_GT(reach, 0.5F);
+  EXPECT_LE(reach, 0.7072F);
+}
+
+// x to the right and y downwards, each sample inside its pixel.
+TEST(Path, PixelsAreRowByRowFromTheTopLeft) {
+  RenderSettings settings;
+  settings.width = 4;
+  settings.height = 3;
+  settings.seed = kSeed;
+  const Shading shading(SceneTables{}, settings);
+  for (std::uint32_t pixel = 0; pixel < 12; ++pixel) {
+    for (std::uint32_t sample = 0; sample < 64; ++sample) {
+      PathState path;
+      const Ray ray = shading.start_path(pixel, sample, path);
+      const float x = 2.0F * (ray.direction.x / -ray.direction.z + 1.0F);
+      const float y = 1.5F * (1.0F - ray.direction.y / -ray.direction.z);
+      ASSERT_NEAR(x, static_cast<float>(pixel % 4) + 0.5F, 0.50001F);
+      ASSERT_NEAR(y, static_cast<float>(pixel / 4) + 0.5F, 0.50001F);
+    }
+  }
+}
+
+// A room with every kind of material and light, as bits. It may change only where the image is
+// meant to change; never with the compiler, its options or the machine.
+TEST(Path, ImageIsTheSameEverywhere) {
+  TriangleScene scene;
+  scene.add_box(Vec3(-0.5F), Vec3(0.5F), scene.add_material(diffuse(Vec3(0.7F, 0.6F, 0.5F))),
+                false);
+  scene.add_parallelogram(Vec3(-0.2F, 0.49F, -0.2F), Vec3(0.4F, 0.0F, 0.0F), Vec3(0.0F, 0.0F, 0.4F),
+                          scene.add_material(emitter(Vec3(8.0F, 7.0F, 6.0F))));
+  scene.add_sphere(Vec3(-0.2F, -0.3F, -0.2F), 0.15F, 1, scene.add_material(metal(0.3F)));
+  scene.add_sphere(Vec3(0.2F, -0.3F, -0.2F), 0.15F, 1,
+                   scene.add_material(glass(1.5F, 0.0F, false)));
+  scene.add_sphere(Vec3(0.2F, 0.0F, -0.3F), 0.1F, 1, scene.add_material(glass(1.3F, 0.4F, false)));
+  scene.add_sphere(Vec3(-0.2F, 0.1F, -0.3F), 0.1F, 1, scene.add_material(coated(0.2F)));
+  PunctualLight spot;
+  spot.kind = PunctualLightKind::kSpot;
+  spot.position = Vec3(0.4F, 0.4F, 0.4F);
+  spot.direction = glm::normalize(Vec3(-1.0F));
+  spot.intensity = Vec3(0.5F);
+  scene.tables().lights.push_back(spot);
+  RenderSettings settings = settings_of(24, 4, 6);
+  settings.sky = Vec3(0.1F);
+  settings.view = look_at(Vec3(0.0F, 0.0F, 0.45F), Vec3(0.0F, -0.1F, -0.3F), 0.8F);
+  const Shading shading(scene.tables(), settings);
+
+  TileAccumulator tile(24 * 24);
+  TriangleScene::Counts counts;
+  for (std::uint32_t pixel = 0; pixel < 24 * 24; ++pixel) {
+    for (std::uint32_t sample = 0; sample < settings.spp; ++sample) {
+      ASSERT_TRUE(tile.add(pixel, scene.trace(shading, pixel, sample, counts)));
+    }
+  }
+  Film film(24, 24);
+  film.assign({0, 0, 24, 24}, tile.finish(settings.spp));
+
+  EXPECT_EQ(film.pixels_sha256(), "6617e0aa23dedccc640774119bf7005749216672f25b8b8c01644d69e30e31f0");
+}
+
 TEST(Path, SurvivalIsAProbabilityOnceRouletteBegins) {
   EXPECT_EQ(roulette_survival(kRouletteScatteringsMin - 1, Vec3(0.0F)), 1.0F);
   EXPECT_EQ(roulette_survival(kRouletteScatteringsMin, Vec3(0.2F, 0.5F, 0.1F)), 0.5F);

@@ -181,6 +181,12 @@ TEST(Compiler, CutsNamesThatNobodyReads) {
   const Result<Store> store = compile_and_open(scene, folder / "a.store");
   ASSERT_TRUE(store) << store.error().message;
   EXPECT_EQ(store->tables().materials[0].name, std::string(kNameBytesMax, 'm'));
+
+  scene.materials[0].name = "m";
+  for (int i = 0; i < 3000; ++i) { scene.materials[0].name += "\u00e9"; }  // two bytes each
+  const Result<Store> again = compile_and_open(scene, folder / "b.store");
+  ASSERT_TRUE(again);
+  EXPECT_EQ(again->tables().materials[0].name.size(), kNameBytesMax - 1);
 }
 
 TEST(Compiler, RejectsWhatAStoreCannotHoldAndLeavesNoFile) {

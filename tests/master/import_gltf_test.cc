@@ -2,9 +2,11 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <functional>
 #include <string>
+#include <vector>
 
 #include "tests/master/scene_files.h"
 
@@ -411,6 +413,32 @@ TEST(ImportGltf, RefusesEveryTruncationOfAGlb) {
   }
 }
 
+void expect_scene_holds_together(const Scene& scene) {
+  for (const Triangle& triangle : scene.triangles) {
+    ASSERT_LT(triangle.material, scene.materials.size());
+    for (const std::uint32_t vertex : triangle.vertices) {
+      ASSERT_LT(vertex, scene.positions.size());
+      const Vec3& position = scene.positions[vertex];
+      ASSERT_LE(std::max({std::abs(position.x), std::abs(position.y), std::abs(position.z)}), 1.0F);
+    }
+  }
+  for (const Material& material : scene.materials) {
+    for (int axis = 0; axis < 3; ++axis) {
+      ASSERT_TRUE(material.base_color[axis] >= 0.0F && material.base_color[axis] <= 1.0F);
+      ASSERT_TRUE(material.emission[axis] >= 0.0F && std::isfinite(material.emission[axis]));
+    }
+    ASSERT_TRUE(material.ior >= 1.0F && std::isfinite(material.ior));
+  }
+  for (const PunctualLight& light : scene.lights) {
+    ASSERT_TRUE(std::isfinite(glm::dot(light.position, light.intensity)));
+    ASSERT_NEAR(glm::length(light.direction), 1.0F, 1e-5F);
+  }
+  for (const Camera& camera : scene.cameras) {
+    ASSERT_NEAR(glm::length(camera.forward), 1.0, 1e-9);
+    ASSERT_NEAR(glm::dot(camera.up, camera.right), 0.0, 1e-9);
+  }
+}
+
 TEST(ImportGltf, SurvivesEveryFlippedByteOfAGlb) {
   const TemporaryFolder folder;
   const std::string glb = triangle_glb();
@@ -425,12 +453,7 @@ TEST(ImportGltf, SurvivesEveryFlippedByteOfAGlb) {
         continue;
       }
       ++accepted;
-      for (const Triangle& triangle : scene->triangles) {
-        for (const std::uint32_t vertex : triangle.vertices) {
-          ASSERT_LT(vertex, scene->positions.size());
-        }
-        ASSERT_LT(triangle.material, scene->materials.size());
-      }
+      expect_scene_holds_together(*scene);
     }
   }
   EXPECT_GT(accepted, 100U);  // names, padding, coordinates
@@ -576,6 +599,118 @@ const HostileCase kHostileCases[] = {
 
 INSTANTIATE_TEST_SUITE_P(, ImportGltfRefuses, ::testing::ValuesIn(kHostileCases),
                          [](const auto& parameter) { return std::string(parameter.param.name); });
+
+// Everything that the importer reads, once.
+Json rich_gltf() {
+  Json gltf = gltf_with_sparse_positions();
+  gltf["extensionsUsed"] = {"KHR_lights_punctual"};
+  gltf["extensionsRequired"] = {"KHR_lights_punctual"};
+  gltf["materials"][0] = {
+      {"name", "all"},
+      {"doubleSided", true},
+      {"alphaMode", "MASK"},
+      {"normalTexture", {{"index", 0}}},
+      {"pbrMetallicRoughness",
+       {{"baseColorFactor", {0.1, 0.2, 0.3, 1.0}},
+        {"metallicFactor", 0.25},
+        {"baseColorTexture", {{"index", 0}}}}},
+      {"emissiveFactor", {1.0, 0.5, 0.25}},
+      {"extensions",
+       {{"KHR_materials_emissive_strength", {{"emissiveStrength", 40.0}}},
+        {"KHR_materials_ior", {{"ior", 1.33}}},
+        {"KHR_materials_pbrSpecularGlossiness", {{"specularFactor", {0.1, 0.1, 0.1}}}},
+        {"KHR_materials_specular", {{"specularColorFactor", {1.0, 0.5, 0.0}}}},
+        {"KHR_materials_volume", {{"thicknessFactor", 0.1}}}}}};
+  gltf["cameras"] = {{{"type", "perspective"}, {"perspective", {{"yfov", 0.7}, {"znear", 0.1}}}}};
+  gltf["extensions"]["KHR_lights_punctual"]["lights"] = {
+      {{"type", "spot"}, {"color", {1.0, 0.5, 0.0}}, {"spot", {{"outerConeAngle", 0.6}}}}};
+  gltf["nodes"] = {
+      {{"mesh", 0}, {"children", {1, 2}}, {"rotation", {0.0, 0.0, 0.0, 1.0}}},
+      {{"camera", 0}, {"matrix", {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 5, 1}}},
+      {{"extensions", {{"KHR_lights_punctual", {{"light", 0}}}}}, {"scale", {1, 2, 3}}}};
+  return gltf;
+}
+
+// The places of all values in a document, containers too.
+void list_places(const Json& json, std::vector<Json::json_pointer>& places) {
+  std::vector<Json::json_pointer> pending{Json::json_pointer("")};
+  while (!pending.empty()) {
+    const Json::json_pointer place = pending.back();
+    pending.pop_back();
+    const Json& value = json[place];
+    if (!place.empty()) { places.push_back(place); }
+    if (value.is_object()) {
+      for (const auto& [key, ignored] : value.items()) { pending.push_back(place / key); }
+    }
+    for (std::size_t i = 0; value.is_array() && i < value.size(); ++i) {
+      pending.push_back(place / i);
+    }
+  }
+}
+
+TEST(ImportGltf, SurvivesAnyValueInAnyPlace) {
+  const Json gltf = rich_gltf();
+  ASSERT_TRUE(import_gltf_json(gltf, sparse_bin(1, 2)));
+  const std::vector<Json> values{-1,
+                                 1,
+                                 255,
+                                 1e308,
+                                 -1e308,
+                                 1e-300,
+                                 4294967295U,
+                                 4294967296U,
+                                 ~std::uint64_t{0},
+                                 "x",
+                                 nullptr,
+                                 true,
+                                 Json::array(),
+                                 Json::object(),
+                                 Json::array({nullptr}),
+                                 Json::array({7, 7})};
+  std::vector<Json::json_pointer> places;
+  list_places(gltf, places);
+  const TemporaryFolder folder;
+  folder.write("scene.bin", sparse_bin(1, 2));
+  std::size_t accepted = 0;
+  for (const auto& place : places) {
+    for (const Json& value : values) {
+      SCOPED_TRACE(place.to_string() + " = " + value.dump());
+      Json damaged = gltf;
+      damaged[place] = value;
+      const auto scene = import_scene(folder.write("scene.gltf", damaged.dump()));
+      if (scene) {
+        ++accepted;
+        expect_scene_holds_together(*scene);
+      } else {
+        EXPECT_EQ(scene.error().code, ExitCode::kSceneRejected);
+      }
+    }
+  }
+  EXPECT_GT(places.size(), 100U);
+  EXPECT_GT(accepted, 500U);
+}
+
+TEST(ImportGltf, RefusesMoreElementsThanItHasRoomFor) {
+  const TemporaryFolder folder;
+  std::string nodes = "{}";
+  for (int doubling = 0; doubling < 21; ++doubling) { nodes += "," + nodes; }
+
+  const auto scene = import_scene(
+      folder.write("a.gltf", R"({"asset":{"version":"2.0"},"nodes":[)" + nodes + "]}"));
+
+  EXPECT_TRUE(is_rejected(scene, "2097152 nodes"));
+}
+
+TEST(ImportGltf, RefusesMeshesThatMultiplyInTheNodes) {
+  Json gltf = triangle_gltf();
+  for (int i = 0; i < 3000; ++i) {
+    gltf["meshes"][0]["primitives"].push_back(gltf["meshes"][0]["primitives"][0]);
+    gltf["nodes"].push_back({{"mesh", 0}});
+    gltf["scenes"][0]["nodes"].push_back(i + 1);
+  }
+
+  EXPECT_TRUE(is_rejected(import_gltf_json(gltf), "meshes in the nodes"));
+}
 
 TEST(ImportGltf, WalksADeepChainWithinTheLimit) {
   Json gltf = triangle_gltf();

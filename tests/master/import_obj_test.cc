@@ -24,7 +24,7 @@ std::string quad(std::string_view rest) { return std::string(kQuad) + std::strin
 
 Material material_of(std::string_view keys) {
   MtlLibrary library;
-  library.add("newmtl m\n" + std::string(keys));
+  EXPECT_TRUE(library.add("newmtl m\n" + std::string(keys)));
   return library.materials().at(0);
 }
 
@@ -183,6 +183,67 @@ TEST(ImportObj, NotesLibrariesThatAreMissingOrOutside) {
     EXPECT_EQ(scene->materials.size(), 1U) << name;  // grey
     EXPECT_TRUE(has_note(*scene, "was not read")) << name;
   }
+}
+
+TEST(ImportObj, ReadsALibraryOnceHoweverOftenItIsNamed) {
+  std::string obj(kQuad);
+  for (int i = 0; i < 100'000; ++i) { obj += "mtllib scene.mtl\n"; }
+  std::string mtl;
+  for (int i = 0; i < 1000; ++i) { mtl.append("newmtl ").append(std::to_string(i)).append("\n"); }
+
+  const auto scene = import_obj_text(obj + "usemtl 7\nf 1 2 3\n", mtl);
+
+  ASSERT_TRUE(scene);
+  EXPECT_EQ(scene->materials.size(), 1000U);
+}
+
+TEST(ImportObj, ReadsABoundedNumberOfLibrariesAndMaterials) {
+  std::string obj(kQuad);
+  for (int i = 0; i < 100'000; ++i) {
+    obj.append("mtllib ").append(std::to_string(i)).append("\n");
+  }
+  std::string mtl;
+  for (int i = 0; i < 100'000; ++i) { mtl += "newmtl a\n"; }
+
+  const auto many_libraries = import_obj_text(obj + "f 1 2 3\n");
+  const auto many_materials = import_obj_text(quad("mtllib scene.mtl\nusemtl a\nf 1 2 3\n"), mtl);
+
+  ASSERT_TRUE(many_libraries);
+  EXPECT_TRUE(has_note(*many_libraries, "the first 64 material libraries"));
+  ASSERT_TRUE(many_materials);
+  EXPECT_TRUE(has_note(*many_materials, "more than 32768 materials"));
+}
+
+TEST(ImportObj, SurvivesEveryTruncationAndFlippedByte) {
+  const std::string obj = quad(
+      "vn 0 0 1\nvt 0 0\nmtllib scene.mtl\nusemtl a\nf 1/1/1 2/1/1 3/1/1 4/1/1\nf -4//-1 -3//-1 "
+      "-1//-1\n");
+  const TemporaryFolder folder;
+  folder.write("scene.mtl", "newmtl a\nKd 1 0 0\n");
+  std::size_t accepted = 0;
+  const auto try_text = [&](const std::string& text) {
+    const auto scene = import_scene(folder.write("scene.obj", text));
+    if (!scene) {
+      EXPECT_EQ(scene.error().code, ExitCode::kSceneRejected);
+      return;
+    }
+    ++accepted;
+    for (const Triangle& triangle : scene->triangles) {
+      for (const std::uint32_t vertex : triangle.vertices) {
+        ASSERT_LT(vertex, scene->positions.size());
+      }
+      ASSERT_LT(triangle.material, scene->materials.size());
+    }
+  };
+  for (std::size_t at = 0; at < obj.size(); ++at) {
+    try_text(obj.substr(0, at));
+    for (const int flip : {0x01, 0x02, 0x10, 0x80}) {
+      std::string damaged = obj;
+      damaged[at] = static_cast<char>(damaged[at] ^ flip);
+      try_text(damaged);
+    }
+  }
+  EXPECT_GT(accepted, 50U);
 }
 
 TEST(MtlMaterial, DiffuseWithoutSpecular) {
