@@ -179,8 +179,8 @@ namespace {
 bool valid(const RenderSettings& settings) {
   const std::uint64_t pixels = std::uint64_t{settings.width} * settings.height;
   return settings.width >= 1 && settings.width <= kImageSideMax && settings.height >= 1 &&
-         settings.height <= kImageSideMax && pixels <= (std::uint64_t{1} << 31) &&
-         settings.spp >= 1 && settings.spp <= kSamplesMax && settings.bounces <= kBouncesMax;
+         settings.height <= kImageSideMax && pixels <= kImagePixelsMax && settings.spp >= 1 &&
+         settings.spp <= kSppMax && settings.bounces <= kBouncesMax;
 }
 
 // Foreign text ends up in our log: only printable ASCII passes.

@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "common/ids.h"
+#include "common/limits.h"
 #include "common/render_settings.h"
 #include "common/result.h"
 #include "common/scene_tables.h"
@@ -25,12 +26,6 @@ inline constexpr std::uint16_t kProtocolVersion = 1;
 inline constexpr std::size_t kControlFrameBytesMax = 64 * 1024;
 inline constexpr std::size_t kChunkBytesMax = 256 * 1024;
 inline constexpr std::uint64_t kTablesBytesMax = std::uint64_t{2} << 30;
-inline constexpr std::uint64_t kTilesMax = std::uint64_t{16} << 20;
-inline constexpr std::uint32_t kTileSizeMax = 1024;
-inline constexpr std::uint32_t kImageSideMax = 65536;
-inline constexpr std::uint32_t kSamplesMax = 1U << 20;
-inline constexpr std::uint32_t kBouncesMax = 64;
-inline constexpr std::uint32_t kThreadsMax = 1023;
 inline constexpr std::size_t kLeasesPerWorkerMax = 2 * kThreadsMax + 1;
 
 // Chosen at random by each worker process; names it on both sockets.

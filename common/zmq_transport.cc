@@ -200,6 +200,8 @@ class ZmqTransport : public Transport {
       set_options(socket, kind);
       const RoutingId id = routing_id(kind, session);
       socket.set(zmq::sockopt::routing_id, zmq::const_buffer(id.data(), id.size()));
+      // Only what a living connection can take is queued: nothing of this job waits for the next.
+      socket.set(zmq::sockopt::immediate, true);
       socket.connect(endpoint);
       return std::make_unique<ZmqChannel>(context_, std::move(socket), kind, session);
     } catch (const zmq::error_t& error) {

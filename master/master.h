@@ -39,6 +39,8 @@ struct MasterOptions {
   std::uint32_t tile_size = 32;
   AccessCounting count_accesses = AccessCounting::kSampled;
   std::string worker_program{};     // path of preheat-worker
+  bool insecure_no_auth = false;    // listen elsewhere than on loopback
+  std::string ledger_file{};        // one JSON line per lease, result, join and leave; empty = none
 };
 
 // For the progress line; called at most ten times a second.
@@ -64,6 +66,7 @@ struct MasterResult {
   std::vector<WorkerStats> workers{};  // by WorkerId; lost workers keep their last word
   double preload_seconds = 0.0;        // first worker accepted to first tile begun
   double render_seconds = 0.0;
+  std::vector<TileId> poisoned_tiles{};  // given up and black: the program ends with kPoisonedTile
 };
 
 // Blocks until the image is done, a failure, or `stop_signal` is set (by a signal handler: SIGINT or

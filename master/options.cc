@@ -31,42 +31,13 @@ tl::unexpected<Error> wrong(const std::string& wanted, const std::string& text) 
   return fail(ExitCode::kUsage, fmt::format("'{}' is not {}", text, wanted));
 }
 
-struct Unit {
-  std::string_view name;
-  double bytes;
-};
-constexpr std::array kUnits = {Unit{"KiB", 1024.0}, Unit{"MiB", 1048576.0},
-                               Unit{"GiB", 1073741824.0}, Unit{"TiB", 1099511627776.0}};
-
 }  // namespace
-
-Result<std::uint64_t> parse_bytes(const std::string& text) {
-  std::string_view number = text;
-  double unit = 1.0;
-  for (const Unit& candidate : kUnits) {
-    if (!number.ends_with(candidate.name)) { continue; }
-    number.remove_suffix(candidate.name.size());
-    unit = candidate.bytes;
-    break;
-  }
-  const std::optional<double> value = number_in(number);
-  const double bytes = value.value_or(0.0) * unit;
-  if (bytes < 1.0 || bytes > 0x1p62) {
-    return wrong("a size of at least 1 byte such as 4096, 64KiB, 512MiB or 1.5GiB", text);
-  }
-  return static_cast<std::uint64_t>(bytes);
-}
 
 Result<CacheSize> parse_cache_size(const std::string& text) {
   if (!text.ends_with('%')) {
     return parse_bytes(text).map([](std::uint64_t bytes) { return CacheSize{0.0, bytes}; });
   }
-  const std::optional<double> percent =
-      number_in(std::string_view(text).substr(0, text.size() - 1));
-  if (!percent || *percent <= 0.0 || *percent > 100.0) {
-    return wrong("a percentage above 0% and up to 100%", text);
-  }
-  return CacheSize{*percent / 100.0, 0};
+  return parse_percentage(text).map([](double share) { return CacheSize{share, 0}; });
 }
 
 Result<ImageSize> parse_image_size(const std::string& text) {

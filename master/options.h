@@ -8,6 +8,8 @@
 #include <string>
 #include <utility>
 
+#include "common/byte_size.h"
+#include "common/limits.h"
 #include "common/result.h"
 #include "common/vec3.h"
 #include "master/master.h"
@@ -19,16 +21,8 @@ struct ImageSize {
   std::uint32_t height = 512;
 };
 
-inline constexpr std::uint32_t kImageSideMax = 65536;
-inline constexpr std::uint64_t kImagePixelsMax = std::uint64_t{1} << 31;
-inline constexpr std::uint32_t kSppMax = 1U << 20;
-inline constexpr std::uint32_t kBouncesMax = 64;
-inline constexpr std::uint32_t kTileSizeMax = 1024;
-inline constexpr unsigned kThreadsMax = 1024;
 inline constexpr unsigned kWorkersMax = 256;
 
-// "4096", "64KiB", "1.5GiB"; at least one byte.
-[[nodiscard]] Result<std::uint64_t> parse_bytes(const std::string& text);
 // As parse_bytes, or "25%" of the scene's resident size: more than 0 %, at most 100 %.
 [[nodiscard]] Result<CacheSize> parse_cache_size(const std::string& text);
 // "640x480".

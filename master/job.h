@@ -1,0 +1,165 @@
+// One image's job from the first Hello to the last Goodbye: who is here, who renders what, what has
+// arrived. The protocol's other end is worker/worker_session.h.
+//
+//   waiting for workers -> rendering -> farewell -> over
+//
+// Pure: no socket, thread or clock. Messages go in, messages come out; the lease table decides on
+// tiles, the voxel server on bytes.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "common/clock.h"
+#include "common/codec.h"
+#include "common/film.h"
+#include "common/outgoing.h"
+#include "master/lease_table.h"
+#include "master/master.h"
+#include "master/voxel_server.h"
+
+namespace preheat {
+
+// What a worker of some cache size is told to hold.
+struct WorkerPlan {
+  std::uint64_t cache_limit_bytes = 0;
+  std::shared_ptr<const EncodedPlan> hot{};
+};
+
+// What the job needs to know of the scene.
+struct JobScene {
+  std::span<const std::byte> tables{};
+  Hash128 tables_hash{};
+  VoxelServer server;
+  std::function<bool(VoxelId)> block_is_intact{};
+  // The error is told to the worker, which then cannot take part.
+  std::function<Result<WorkerPlan>(const CacheSize&)> plan{};
+};
+
+struct JobOptions {
+  JobKey key{};
+  RenderSettings settings{};
+  std::uint32_t tile_size = 32;
+  AccessCounting count_accesses = AccessCounting::kSampled;
+  CacheSize cache{};  // of workers that do not bring their own
+  std::uint16_t bulk_port = 0;
+  unsigned wait_workers = 1;
+  Duration wait = std::chrono::seconds(60);
+  std::string address{};  // of the control socket, for messages
+  std::string build{};
+  std::string isa{};
+  std::uint64_t self_test = 0;
+  Timers timers{};
+  std::uint64_t seed = 0;                            // of the lease ids
+  std::function<void(const std::string&)> ledger{};  // one JSON line per event; may be empty
+};
+
+class Job {
+ public:
+  Job(JobOptions options, JobScene scene, Time now);
+
+  void on_control(const SessionId& from, const Envelope& frame, Time now);
+  void on_bulk(const SessionId& from, const Envelope& frame, const Payload& data, Time now);
+  // A frame of ours in another protocol version.
+  void on_other_version(const SessionId& from, std::uint16_t version);
+  // The connection to a worker is no more.
+  void on_gone(const SessionId& session, Time now);
+  // A child of ours has ended; `left` children still run.
+  void on_child_ended(std::uint32_t process_id, const std::string& how, std::size_t left, Time now);
+  void tick(Time now);
+  // By a signal: tells the workers.
+  void stop(ExitCode code, Time now);
+
+  [[nodiscard]] std::vector<Outgoing> take_outgoing() { return std::exchange(outgoing_, {}); }
+  [[nodiscard]] const JobKey& key() const { return options_.key; }
+  [[nodiscard]] bool over() const { return phase_ == Phase::kOver; }
+  [[nodiscard]] MasterProgress progress(Time now) const;
+  // Requires: over(). Once.
+  [[nodiscard]] Result<MasterResult> take_result();
+
+ private:
+  static constexpr std::size_t kWorkersMax = 1000;    // at once
+  static constexpr std::size_t kSessionsMax = 16384;  // ever
+
+  enum class Phase : std::uint8_t { kWaiting, kRendering, kFarewell, kOver };
+  enum class Presence : std::uint8_t { kPreparing, kReady, kAbsent };
+
+  // A tile's bytes as they come in.
+  struct Assembly {
+    std::vector<std::byte> bytes{};
+    std::vector<bool> arrived{};  // [chunk_count]
+    std::size_t missing = 0;
+  };
+  struct Worker {
+    WorkerId id{};
+    SessionId session{};
+    Presence presence = Presence::kPreparing;
+    std::uint32_t process_id = 0;
+    std::size_t leases_max = 1;
+    WorkerPlan plan{};
+    WorkerStats stats{};
+    std::uint64_t progress = 0;
+    bool stalled = false;  // a lease expired and the renderer has not moved since
+    Time heard_last{};
+    std::map<LeaseId, Assembly> assemblies{};
+  };
+  using Clocked = std::pair<Worker&, Time>;
+
+  void handle_hello(const SessionId& from, const Hello& hello, Time now);
+  [[nodiscard]] std::optional<Refuse> objection(const Hello& hello) const;
+  void handle(Worker& worker, const Ready& ready, Time now);
+  void handle(Worker& worker, const WorkerHeartbeat& heartbeat, Time now);
+  void handle(Worker& worker, const Fault& fault, Time now);
+  void handle(Worker& worker, const Goodbye& goodbye, Time now);
+  template <class Other>
+  void handle(Worker&, const Other&, Time) {}  // what a worker does not say
+  void take_chunk(Worker& worker, const TileChunk& chunk, std::span<const std::byte> data,
+                  Time now);
+  void take_tile(Worker& worker, const TileChunk& chunk, const Assembly& assembly, Time now);
+
+  void welcome(const Worker& worker);
+  void expel(Worker& worker, const Refuse& reason, Time now);
+  void lose(Worker& worker, const char* why, Time now);
+  void grant_to(Worker& worker, Time now);
+  void grant_to_all(Time now);
+  void watch_workers(Time now);
+  void watch_leases(Time now);
+  void watch_phase(Time now);
+  void begin_farewell(Time now);
+  void fail_job(Error error, Time now);
+
+  [[nodiscard]] Worker* find(const SessionId& session);
+  [[nodiscard]] std::size_t present() const;
+  void send(const Worker& worker, ChannelKind channel, Message message, Payload data = {});
+  template <class... Values>
+  void note(const char* format, const Values&... values);
+
+  JobOptions options_;
+  JobScene scene_;
+  TileGrid grid_;
+  LeaseTable leases_;
+  Film film_;
+  Phase phase_ = Phase::kWaiting;
+  std::optional<Error> error_;
+  std::vector<std::unique_ptr<Worker>> workers_;  // by WorkerId
+  std::map<std::pair<std::uint64_t, std::uint64_t>, WorkerId> by_session_;
+  std::vector<Outgoing> outgoing_;
+  Time begin_;
+  Time tick_last_;
+  Time heartbeat_last_;
+  Time waiting_since_;
+  Time waiting_told_;
+  Time farewell_begin_{};
+  std::optional<std::size_t> children_left_;  // nothing if this job has no children
+  std::optional<Time> first_worker_;
+  std::optional<Time> first_lease_;
+  Time last_commit_{};
+};
+
+}  // namespace preheat

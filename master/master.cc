@@ -1,0 +1,308 @@
+#include "master/master.h"
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <array>
+#include <csignal>
+#include <cstring>
+#include <deque>
+#include <fstream>
+#include <map>
+#include <memory>
+#include <optional>
+#include <utility>
+
+#include "cache/preload_plan.h"
+#include "cache/renderer.h"
+#include "common/content_hash.h"
+#include "common/limits.h"
+#include "common/self_test.h"
+#include "common/zmq_transport.h"
+#include "master/job.h"
+#include "master/worker_processes.h"
+
+namespace preheat {
+namespace {
+
+constexpr std::chrono::milliseconds kWait{50};
+constexpr std::chrono::milliseconds kWaitWhileFull{2};
+constexpr std::chrono::milliseconds kBetweenTicks{20};
+constexpr std::chrono::milliseconds kBetweenProgress{100};
+constexpr std::size_t kReceivedPerTurn = 256;
+constexpr std::size_t kQueuedPerWorkerMax = 1024;
+
+std::shared_ptr<const EncodedPlan> encode_plan(const std::vector<VoxelId>& hot) {
+  auto plan = std::make_shared<EncodedPlan>();
+  plan->bytes.resize(hot.size() * sizeof(VoxelId));
+  if (!hot.empty()) { std::memcpy(plan->bytes.data(), hot.data(), plan->bytes.size()); }
+  plan->hash = content_hash(plan->bytes);
+  return plan;
+}
+
+// Plans by cache size: workers of one size share one.
+class Planner {
+ public:
+  Planner(const Store& store, const Prediction& prediction, double share)
+      : store_(store), prediction_(prediction), share_(share) {}
+
+  Result<WorkerPlan> plan(const CacheSize& size) {
+    const Result<std::uint64_t> limit = size.resolve(store_.tables());
+    if (!limit) { return tl::unexpected(limit.error()); }
+    auto [entry, is_new] = plans_.try_emplace(*limit);
+    if (is_new) {
+      entry->second = encode_plan(plan_preload(store_.tables(), prediction_, *limit, share_).hot);
+    }
+    return WorkerPlan{*limit, entry->second};
+  }
+
+ private:
+  const Store& store_;
+  const Prediction& prediction_;
+  double share_;
+  std::map<std::uint64_t, std::shared_ptr<const EncodedPlan>> plans_;
+};
+
+// Frames on their way out of one socket, in order for each peer; a peer that does not read blocks
+// nobody else.
+class Outbox {
+ public:
+  explicit Outbox(Channel& channel) : channel_(channel) {}
+
+  void add(const Outgoing& outgoing, const JobKey& job, std::vector<SessionId>& gone) {
+    Queued queued{encode_frame(job, outgoing.message), outgoing.data};
+    const auto waiting = queues_.find({outgoing.to.low, outgoing.to.high});
+    if (waiting != queues_.end()) {
+      if (waiting->second.size() < kQueuedPerWorkerMax) {
+        waiting->second.push_back(std::move(queued));
+      } else {
+        gone.push_back(outgoing.to);
+      }
+      return;
+    }
+    switch (channel_.send(outgoing.to, queued.head, queued.data)) {
+      case SendOutcome::kSent:
+        return;
+      case SendOutcome::kFull:
+        queues_[{outgoing.to.low, outgoing.to.high}].push_back(std::move(queued));
+        return;
+      case SendOutcome::kGone:
+        gone.push_back(outgoing.to);
+        return;
+    }
+  }
+
+  void flush(std::vector<SessionId>& gone) {
+    for (auto entry = queues_.begin(); entry != queues_.end();) {
+      const SessionId to{entry->first.first, entry->first.second};
+      std::deque<Queued>& queue = entry->second;
+      SendOutcome outcome = SendOutcome::kSent;
+      while (!queue.empty() && outcome == SendOutcome::kSent) {
+        outcome = channel_.send(to, queue.front().head, queue.front().data);
+        if (outcome == SendOutcome::kSent) { queue.pop_front(); }
+      }
+      if (outcome == SendOutcome::kGone) { gone.push_back(to); }
+      entry = outcome == SendOutcome::kFull ? std::next(entry) : queues_.erase(entry);
+    }
+  }
+
+  [[nodiscard]] bool empty() const { return queues_.empty(); }
+
+ private:
+  struct Queued {
+    std::vector<std::byte> head{};
+    Payload data{};
+  };
+  Channel& channel_;
+  std::map<std::pair<std::uint64_t, std::uint64_t>, std::deque<Queued>> queues_;
+};
+
+class MasterLoop {
+ public:
+  MasterLoop(std::unique_ptr<Transport> transport, std::unique_ptr<Channel> control,
+             std::unique_ptr<Channel> bulk, JobOptions options, JobScene scene)
+      : transport_(std::move(transport)),
+        control_(std::move(control)),
+        bulk_(std::move(bulk)),
+        control_out_(*control_),
+        bulk_out_(*bulk_),
+        timers_(options.timers),
+        job_(std::move(options), std::move(scene), Clock::now()) {}
+
+  Result<void> start_workers(const MasterOptions& options) {
+    for (unsigned i = 0; i < options.workers_to_start; ++i) {
+      const Result<void> started =
+          children_.start(options.worker_program, {"--connect", control_->endpoint(), "--threads",
+                                                   std::to_string(options.threads_per_worker)});
+      if (!started) { return started; }
+    }
+    return {};
+  }
+
+  Result<MasterResult> run(const std::atomic<int>& stop_signal,
+                           const std::function<void(const MasterProgress&)>& progress) {
+    while (!job_.over()) {
+      receive(*control_, ChannelKind::kControl);
+      receive(*bulk_, ChannelKind::kBulk);
+      const Time now = Clock::now();
+      if (const int signal = stop_signal.load(); signal != 0) {
+        job_.stop(signal == SIGINT ? ExitCode::kInterrupted : ExitCode::kTerminated, now);
+      }
+      if (now - tick_last_ >= kBetweenTicks) {
+        tick_last_ = now;
+        for (const WorkerProcesses::Ended& ended : children_.reap()) {
+          job_.on_child_ended(static_cast<std::uint32_t>(ended.pid), ended.how, children_.running(),
+                              now);
+        }
+        job_.tick(now);
+      }
+      send(now);
+      if (progress && now - progress_last_ >= kBetweenProgress) {
+        progress_last_ = now;
+        progress(job_.progress(now));
+      }
+      if (job_.over()) { break; }
+      const std::array<Channel*, 2> channels{control_.get(), bulk_.get()};
+      const bool full = !control_out_.empty() || !bulk_out_.empty();
+      transport_->wait(channels, -1, full ? kWaitWhileFull : kWait);
+    }
+    if (progress) { progress(job_.progress(Clock::now())); }
+    children_.end_all(timers_.farewell, timers_.kill_grace);
+    const std::uint64_t dropped = control_->dropped() + bulk_->dropped() + frames_dropped_;
+    if (dropped > 0) { spdlog::warn("event=unsound_messages_dropped count={}", dropped); }
+    return job_.take_result();
+  }
+
+ private:
+  void receive(Channel& channel, ChannelKind kind) {
+    for (std::size_t i = 0; i < kReceivedPerTurn; ++i) {
+      const std::optional<Received> received = channel.receive();
+      if (!received) { return; }
+      const auto frame = decode_frame(received->head.bytes);
+      if (!frame) {
+        ++frames_dropped_;
+        if (frame.error().fault == FrameFault::kVersion && kind == ChannelKind::kControl) {
+          job_.on_other_version(received->session, frame.error().version);
+        }
+      } else if (kind == ChannelKind::kControl) {
+        job_.on_control(received->session, *frame, Clock::now());
+      } else {
+        job_.on_bulk(received->session, *frame, received->data, Clock::now());
+      }
+    }
+  }
+
+  void send(Time now) {
+    std::vector<SessionId> gone;
+    control_out_.flush(gone);
+    // A bulk connection that is not there (yet, or any more) loses what was for it: the worker asks
+    // again. Only the control connection says that a worker is gone.
+    std::vector<SessionId> ignored;
+    bulk_out_.flush(ignored);
+    for (const Outgoing& outgoing : job_.take_outgoing()) {
+      if (outgoing.channel == ChannelKind::kControl) {
+        control_out_.add(outgoing, job_.key(), gone);
+      } else {
+        bulk_out_.add(outgoing, job_.key(), ignored);
+      }
+    }
+    for (const SessionId& session : gone) { job_.on_gone(session, now); }
+  }
+
+  std::unique_ptr<Transport> transport_;
+  std::unique_ptr<Channel> control_;
+  std::unique_ptr<Channel> bulk_;
+  Outbox control_out_;
+  Outbox bulk_out_;
+  Timers timers_;
+  Job job_;
+  WorkerProcesses children_;
+  Time tick_last_{};
+  Time progress_last_{};
+  std::uint64_t frames_dropped_ = 0;
+};
+
+Result<void> check_options(const MasterOptions& options, const RenderSettings& settings) {
+  const auto wrong = [](std::string text) { return fail(ExitCode::kUsage, std::move(text)); };
+  if (options.tile_size < 1 || options.tile_size > kTileSizeMax) {
+    return wrong(fmt::format("tile size {} is not from 1 to {}", options.tile_size, kTileSizeMax));
+  }
+  const TileGrid grid{settings.width, settings.height, options.tile_size};
+  const std::uint64_t tiles = std::uint64_t{grid.columns()} * grid.rows();
+  if (tiles > kTilesMax) {
+    return wrong(
+        fmt::format("{} tiles are more than {}: choose a larger tile size", tiles, kTilesMax));
+  }
+  if (options.threads_per_worker < 1 || options.threads_per_worker > kThreadsMax) {
+    return wrong(fmt::format("{} threads per worker are not from 1 to {}",
+                             options.threads_per_worker, kThreadsMax));
+  }
+  return {};
+}
+
+}  // namespace
+
+Result<MasterResult> run_master(const Store& store, const RenderSettings& settings,
+                                const Prediction& prediction, const MasterOptions& options,
+                                const std::atomic<int>& stop_signal,
+                                const std::function<void(const MasterProgress&)>& progress) {
+  if (auto fine = check_options(options, settings); !fine) { return tl::unexpected(fine.error()); }
+  const Result<Endpoint> listen = check_endpoint(options.listen, options.insecure_no_auth);
+  if (!listen) { return tl::unexpected(listen.error()); }
+  std::ofstream ledger;
+  if (!options.ledger_file.empty()) {
+    ledger.open(options.ledger_file);
+    if (!ledger) {
+      return fail(ExitCode::kOutputUnwritable,
+                  fmt::format("cannot write the ledger {}", options.ledger_file));
+    }
+  }
+  std::unique_ptr<Transport> transport = make_zmq_transport();
+  auto control = transport->listen(listen->text(), ChannelKind::kControl);
+  if (!control) { return tl::unexpected(control.error()); }
+  // Beside a port that the user chose, so that both can be let through a firewall.
+  Endpoint beside = *listen;
+  if (beside.port == 65535) {
+    return fail(ExitCode::kUsage, "port 65535 leaves no port for bulk data, which is one above");
+  }
+  if (beside.port != 0) { ++beside.port; }
+  auto bulk = transport->listen(beside.text(), ChannelKind::kBulk);
+  if (!bulk) { return tl::unexpected(bulk.error()); }
+
+  Planner planner{store, prediction, options.preload_share};
+  JobOptions job;
+  job.key = {random_bits(), random_bits()};
+  job.settings = settings;
+  job.tile_size = options.tile_size;
+  job.count_accesses = options.count_accesses;
+  job.cache = options.cache;
+  job.bulk_port = parse_endpoint((*bulk)->endpoint())->port;
+  job.wait_workers = options.wait_workers;
+  job.wait = from_seconds(options.wait_workers == 0 ? 0.0 : options.wait_seconds);
+  job.address = (*control)->endpoint();
+  job.build = build_version();
+  job.isa = tracing_isa();
+  job.self_test = numeric_self_test();
+  job.timers = Timers{}.scaled(time_scale());
+  job.seed = random_bits();
+  if (ledger.is_open()) {
+    job.ledger = [&ledger](const std::string& line) { ledger << line << std::endl; };
+  }
+  JobScene scene{store.tables_bytes(), content_hash(store.tables_bytes()),
+                 VoxelServer{store.tables_bytes(), store.tables().voxels.size(),
+                             [&store](VoxelId voxel) { return store.block(voxel); }},
+                 [&store](VoxelId voxel) {
+                   return index_of(voxel) >= store.tables().voxels.size() ||
+                          store.block_is_intact(voxel);
+                 },
+                 [&planner](const CacheSize& size) { return planner.plan(size); }};
+  spdlog::info("event=listening control={} bulk={}", job.address, (*bulk)->endpoint());
+  MasterLoop loop{std::move(transport), std::move(*control), std::move(*bulk), std::move(job),
+                  std::move(scene)};
+  if (auto started = loop.start_workers(options); !started) {
+    return tl::unexpected(started.error());
+  }
+  return loop.run(stop_signal, progress);
+}
+
+}  // namespace preheat

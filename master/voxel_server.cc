@@ -1,0 +1,27 @@
+#include "master/voxel_server.h"
+
+namespace preheat {
+
+std::optional<Payload> VoxelServer::answer(const RangeRequest& request,
+                                           const std::shared_ptr<const EncodedPlan>& plan) const {
+  Payload whole;
+  switch (request.object) {
+    case BulkObject::kTables:
+      whole.bytes = tables_;
+      break;
+    case BulkObject::kPlan:
+      whole = {plan->bytes, plan};
+      break;
+    case BulkObject::kVoxel:
+      if (index_of(request.voxel) >= voxel_count_) { return std::nullopt; }
+      whole.bytes = block_(request.voxel);
+      break;
+  }
+  if (request.offset >= whole.bytes.size() || request.bytes > whole.bytes.size() - request.offset) {
+    return std::nullopt;
+  }
+  whole.bytes = whole.bytes.subspan(request.offset, request.bytes);
+  return whole;
+}
+
+}  // namespace preheat

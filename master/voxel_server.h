@@ -1,0 +1,42 @@
+// Answers range requests from the mapped store, without a copy: the origin of every voxel.
+//
+// Threads: immutable after construction.
+#pragma once
+
+#include <cstddef>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <span>
+#include <utility>
+#include <vector>
+
+#include "common/messages.h"
+#include "common/transport.h"
+
+namespace preheat {
+
+// The hot voxels of one worker's cache size, as they travel: ids in order, u32 little-endian.
+struct EncodedPlan {
+  std::vector<std::byte> bytes{};
+  Hash128 hash{};
+};
+
+class VoxelServer {
+ public:
+  // What is served outlives the server and every message: it lies in the mapping.
+  VoxelServer(std::span<const std::byte> tables, std::size_t voxel_count,
+              std::function<std::span<const std::byte>(VoxelId)> block)
+      : tables_(tables), voxel_count_(voxel_count), block_(std::move(block)) {}
+
+  // The bytes asked for; nothing if there are none such.
+  [[nodiscard]] std::optional<Payload> answer(const RangeRequest& request,
+                                              const std::shared_ptr<const EncodedPlan>& plan) const;
+
+ private:
+  std::span<const std::byte> tables_;
+  std::size_t voxel_count_;
+  std::function<std::span<const std::byte>(VoxelId)> block_;
+};
+
+}  // namespace preheat

@@ -1,0 +1,318 @@
+#include "worker/worker_session.h"
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <cstring>
+
+#include "common/scene_tables_codec.h"
+
+namespace preheat {
+namespace {
+
+constexpr ObjectKey kTablesKey{BulkObject::kTables, VoxelId{0}};
+constexpr ObjectKey kPlanKey{BulkObject::kPlan, VoxelId{0}};
+
+}  // namespace
+
+WorkerSession::WorkerSession(Hello hello, const Timers& timers, Duration give_up, Time now)
+    : hello_(std::move(hello)),
+      timers_(timers),
+      give_up_(give_up),
+      heard_last_(now),
+      tick_last_(now),
+      waiting_told_(now),
+      fetcher_(timers.fetch, timers.fetch_max),
+      results_(timers.fetch, timers.fetch_max) {
+  say_hello(now);
+}
+
+void WorkerSession::send(ChannelKind channel, Message message, Payload data) {
+  outgoing_.push_back({channel, hello_.session, std::move(message), std::move(data)});
+}
+
+void WorkerSession::finish(ExitCode code, std::string text) {
+  if (phase_ == Phase::kOver) { return; }
+  phase_ = Phase::kOver;
+  actions_.emplace_back(Finish{code, std::move(text)});
+}
+
+void WorkerSession::fault(FaultKind kind, VoxelId voxel, const std::string& text) {
+  send(ChannelKind::kControl, Fault{kind, voxel, {text}});
+}
+
+void WorkerSession::say_hello(Time now) {
+  hello_last_ = now;
+  send(ChannelKind::kControl, hello_);
+}
+
+void WorkerSession::on_other_version(std::uint16_t version) {
+  finish(ExitCode::kMismatch,
+         fmt::format("the master speaks protocol version {}, this worker ({}) speaks version {}",
+                     version, hello_.build.text, kProtocolVersion));
+}
+
+void WorkerSession::on_control(const Envelope& frame, Time now) {
+  if (phase_ == Phase::kOver) { return; }
+  if (const auto* welcome = std::get_if<Welcome>(&frame.message)) {
+    heard_last_ = now;
+    handle(*welcome, frame.job, now);
+    return;
+  }
+  // Before a Welcome nothing is known of the job; a stranger's or an older master's words are
+  // dropped.
+  const bool of_any_job = std::holds_alternative<Unknown>(frame.message) ||
+                          std::holds_alternative<Refuse>(frame.message);
+  if (!of_any_job && frame.job != job_) { return; }
+  heard_last_ = now;
+  std::visit(
+      [&](const auto& message) {
+        if constexpr (!std::is_same_v<std::decay_t<decltype(message)>, Welcome>) {
+          handle(message, now);
+        }
+      },
+      frame.message);
+}
+
+void WorkerSession::handle(const Welcome& welcome, const JobKey& job, Time now) {
+  if (phase_ != Phase::kGreeting) { return; }
+  if (job == job_ && welcome.tables_hash == welcome_.tables_hash) {
+    phase_ = hot_ready_ ? Phase::kRendering : Phase::kPreparing;
+    if (hot_ready_) { send(ChannelKind::kControl, Ready{preload_}); }
+    results_.restart();
+  } else {
+    begin_job(welcome, job);
+  }
+  send_heartbeat(now);
+}
+
+void WorkerSession::begin_job(const Welcome& welcome, const JobKey& job) {
+  spdlog::info("event=welcome worker={} cache_bytes={} tables_bytes={} hot_voxels={}",
+               index_of(welcome.worker), welcome.cache_limit_bytes, welcome.tables_bytes,
+               welcome.plan_bytes / 4);
+  phase_ = Phase::kPreparing;
+  job_ = job;
+  welcome_ = welcome;
+  hot_ready_ = false;
+  counts_ = {};
+  fetcher_.reset();
+  results_.reset();
+  voxels_.clear();
+  leases_.clear();
+  orphans_.clear();
+  actions_.emplace_back(ConnectBulk{static_cast<std::uint16_t>(welcome.bulk_port)});
+  fetcher_.want(kTablesKey, welcome.tables_bytes, welcome.tables_hash);
+}
+
+void WorkerSession::handle(const Unknown& /*unknown*/, Time now) {
+  if (phase_ == Phase::kGreeting && now - hello_last_ < timers_.hello_retry) { return; }
+  spdlog::info("event=forgotten_by_master leases={}", leases_.size());
+  orphans_ = std::exchange(leases_, {});
+  for (const auto& [tile, lease] : orphans_) { actions_.emplace_back(CancelTile{tile}); }
+  phase_ = Phase::kGreeting;
+  say_hello(now);
+}
+
+void WorkerSession::handle(const Grant& grant, Time /*now*/) {
+  if (phase_ != Phase::kRendering) { return; }
+  const TileGrid grid{welcome_.settings.width, welcome_.settings.height, welcome_.tile_size};
+  const std::vector<Lease> sending = results_.leases();
+  for (const Lease& lease : grant.leases.items) {
+    if (index_of(lease.tile) >= grid.count()) { continue; }
+    const auto known = leases_.find(lease.tile);
+    if (known != leases_.end() && known->second == lease) { continue; }
+    if (std::find(sending.begin(), sending.end(), lease) != sending.end()) { continue; }
+    leases_[lease.tile] = lease;
+    orphans_.erase(lease.tile);
+    actions_.emplace_back(AddTile{lease.tile});
+  }
+}
+
+void WorkerSession::handle(const Cancel& cancel, Time /*now*/) {
+  for (const Lease& lease : cancel.leases.items) {
+    const auto known = leases_.find(lease.tile);
+    if (known == leases_.end() || known->second.id != lease.id) { continue; }
+    orphans_[lease.tile] = lease;
+    leases_.erase(known);
+    actions_.emplace_back(CancelTile{lease.tile});
+  }
+}
+
+void WorkerSession::handle(const ResultAck& ack, Time now) {
+  results_.on_result_ack(ack.lease, now);
+}
+
+void WorkerSession::handle(const Refuse& refuse, Time /*now*/) {
+  const bool known = refuse.exit_code == static_cast<int>(ExitCode::kMismatch) ||
+                     refuse.exit_code == static_cast<int>(ExitCode::kUsage) ||
+                     refuse.exit_code == static_cast<int>(ExitCode::kFailed);
+  finish(known ? static_cast<ExitCode>(refuse.exit_code) : ExitCode::kMasterGone,
+         fmt::format("refused by the master: {}", refuse.text.text));
+}
+
+void WorkerSession::handle(const JobDone& /*done*/, Time /*now*/) {
+  send(ChannelKind::kControl, Goodbye{counts_.stats});
+  finish(ExitCode::kDone, "the job is done");
+}
+
+void WorkerSession::on_bulk(const Envelope& frame, const Payload& data, Time now) {
+  if (frame.job != job_ || phase_ == Phase::kOver) { return; }
+  if (const auto* reply = std::get_if<RangeReply>(&frame.message)) {
+    fetcher_.on_reply(*reply, data.bytes, now);
+    take_fetched();
+  } else if (const auto* ack = std::get_if<TileChunkAck>(&frame.message)) {
+    results_.on_chunk_ack(*ack, now);
+  }
+}
+
+void WorkerSession::take_fetched() {
+  for (const FetchedObject& object : fetcher_.take_done()) {
+    switch (object.key.object) {
+      case BulkObject::kTables:
+        take_tables(object);
+        break;
+      case BulkObject::kPlan:
+        take_plan(object);
+        break;
+      case BulkObject::kVoxel:
+        actions_.emplace_back(DeliverVoxel{object.key.voxel, {object.bytes, object.owner}});
+        break;
+    }
+  }
+  for (const ObjectKey& key : fetcher_.take_damaged()) {
+    if (key.object == BulkObject::kVoxel) {
+      fault(FaultKind::kVoxelDamaged, key.voxel, "its hash was wrong twice");
+    } else {
+      fault(FaultKind::kWorkerFailed, {}, "the scene tables or the plan came damaged twice");
+      finish(ExitCode::kFailed, "the scene tables or the plan came damaged twice");
+    }
+  }
+}
+
+void WorkerSession::take_tables(const FetchedObject& object) {
+  Result<SceneTables> tables = decode_scene_tables(object.bytes);
+  if (!tables) {
+    fault(FaultKind::kWorkerFailed, {}, "the scene tables cannot be read");
+    finish(ExitCode::kMismatch, "the scene tables cannot be read: " + tables.error().message);
+    return;
+  }
+  voxels_.reserve(tables->voxels.size());
+  for (const VoxelEntry& voxel : tables->voxels) {
+    voxels_.emplace_back(voxel.block_bytes, voxel.hash);
+  }
+  if (welcome_.cache_limit_bytes < tables->resident_bytes_min()) {
+    finish(ExitCode::kUsage, fmt::format("a cache of {} bytes is below one voxel of {} bytes",
+                                         welcome_.cache_limit_bytes, tables->resident_bytes_min()));
+    return;
+  }
+  RendererOptions options;
+  options.threads = hello_.threads;
+  options.cache_limit_bytes = welcome_.cache_limit_bytes;
+  options.tile_size = welcome_.tile_size;
+  options.count_accesses = welcome_.count_accesses;
+  actions_.emplace_back(StartRenderer{std::move(*tables), welcome_.settings, options});
+  if (welcome_.plan_bytes == 0) {
+    actions_.emplace_back(SetHotVoxels{});
+  } else {
+    fetcher_.want(kPlanKey, welcome_.plan_bytes, welcome_.plan_hash);
+  }
+}
+
+void WorkerSession::take_plan(const FetchedObject& object) {
+  SetHotVoxels hot;
+  std::vector<bool> seen(voxels_.size());
+  for (std::size_t at = 0; at < object.bytes.size(); at += sizeof(std::uint32_t)) {
+    std::uint32_t voxel = 0;
+    std::memcpy(&voxel, object.bytes.data() + at, sizeof voxel);
+    // A bad plan may cost time, nothing else.
+    if (voxel >= voxels_.size() || seen[voxel]) { continue; }
+    seen[voxel] = true;
+    hot.voxels.push_back(VoxelId{voxel});
+  }
+  for (const VoxelId voxel : hot.voxels) { on_voxel_needed(voxel); }
+  actions_.emplace_back(std::move(hot));
+}
+
+void WorkerSession::on_voxel_needed(VoxelId voxel) {
+  const auto& [bytes, hash] = voxels_.at(index_of(voxel));
+  fetcher_.want({BulkObject::kVoxel, voxel}, bytes, hash);
+}
+
+void WorkerSession::on_voxel_malformed(VoxelId voxel, const std::string& reason) {
+  spdlog::error("event=voxel_malformed voxel={} reason=\"{}\"", index_of(voxel), reason);
+  fault(FaultKind::kVoxelDamaged, voxel, "its block is malformed");
+}
+
+void WorkerSession::on_hot_set_ready(const PreloadStats& preload) {
+  hot_ready_ = true;
+  preload_ = preload;
+  if (phase_ != Phase::kPreparing) { return; }
+  phase_ = Phase::kRendering;
+  send(ChannelKind::kControl, Ready{preload_});
+}
+
+void WorkerSession::on_tile_done(const TileDone& done, Time /*now*/) {
+  for (auto* from : {&leases_, &orphans_}) {
+    const auto lease = from->find(done.tile);
+    if (lease == from->end()) { continue; }
+    results_.add(lease->second, done.pixels);
+    from->erase(lease);
+    tile_done_since_heartbeat_ = true;
+    return;
+  }
+}
+
+void WorkerSession::on_renderer_failed(const Error& error) {
+  spdlog::error("event=renderer_failed reason=\"{}\"", error.message);
+  fault(FaultKind::kWorkerFailed, {}, "the renderer failed");
+  finish(error.code, error.message);
+}
+
+void WorkerSession::leave(ExitCode code) {
+  if (phase_ != Phase::kGreeting) { send(ChannelKind::kControl, Goodbye{counts_.stats}); }
+  finish(code, "ended by a signal");
+}
+
+void WorkerSession::send_heartbeat(Time now) {
+  heartbeat_last_ = now;
+  tile_done_since_heartbeat_ = false;
+  WorkerHeartbeat heartbeat{counts_.progress, counts_.stats, {}};
+  heartbeat.held.items = results_.leases();
+  for (const auto& [tile, lease] : leases_) { heartbeat.held.items.push_back(lease); }
+  heartbeat.held.items.resize(std::min(heartbeat.held.items.size(), kLeasesPerWorkerMax));
+  send(ChannelKind::kControl, std::move(heartbeat));
+}
+
+void WorkerSession::tick(Time now) {
+  if (phase_ == Phase::kOver) { return; }
+  // This process was stopped: the master was not silent all that time.
+  if (now - tick_last_ > timers_.tick_gap) { heard_last_ += now - tick_last_; }
+  tick_last_ = now;
+  if (now - heard_last_ >= give_up_) {
+    finish(ExitCode::kMasterGone,
+           fmt::format("no word from the master for {:.0f} seconds", seconds(give_up_)));
+    return;
+  }
+  if (now - heard_last_ >= timers_.waiting_notice &&
+      now - waiting_told_ >= timers_.waiting_notice) {
+    waiting_told_ = now;
+    spdlog::info("event=waiting_for_master seconds={:.0f}", seconds(now - heard_last_));
+  }
+  if (phase_ == Phase::kGreeting) {
+    if (now - hello_last_ >= timers_.hello_retry) { say_hello(now); }
+    return;
+  }
+  const Duration sooner = timers_.heartbeat / 5;
+  if (now - heartbeat_last_ >= (tile_done_since_heartbeat_ ? sooner : timers_.heartbeat)) {
+    send_heartbeat(now);
+  }
+  for (const RangeRequest& request : fetcher_.take_requests(now)) {
+    send(ChannelKind::kBulk, request);
+  }
+  for (auto& [chunk, data] : results_.take_chunks(now)) {
+    send(ChannelKind::kBulk, chunk, std::move(data));
+  }
+}
+
+}  // namespace preheat
