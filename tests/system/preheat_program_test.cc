@@ -40,7 +40,7 @@ class Program : public ::testing::Test {
   }
   [[nodiscard]] Outcome preheat(const std::string& arguments) const {
     const std::string command = "cd " + folder_.string() + " && XDG_CACHE_HOME=" + path("cache") +
-                                " " PREHEAT_BINARY_DIR "/preheat " + arguments +
+                                " " PREHEAT_PROGRAM_DIR "/preheat " + arguments +
                                 " >stdout.txt 2>stderr.txt";
     const int status = std::system(command.c_str());
     return {WEXITSTATUS(status), content("stdout.txt"), content("stderr.txt")};
