@@ -1,10 +1,12 @@
 // `preheat`: compiles, inspects, predicts, renders and compares. See README.md.
 #include <fmt/format.h>
+#include <spdlog/spdlog.h>
 
 #include <CLI/CLI.hpp>
 #include <cstdio>
 #include <exception>
 
+#include "common/log.h"
 #include "master/commands.h"
 
 namespace preheat {
