@@ -63,7 +63,7 @@ Payload payload_of(zmq::message_t&& message) {
   return {bytes, std::move(kept)};
 }
 
-void set_options(zmq::socket_t& socket, ChannelKind kind) {
+void set_options(zmq::socket_t& socket, const std::string& endpoint, ChannelKind kind) {
   const bool control = kind == ChannelKind::kControl;
   const auto frame_bytes_max = static_cast<std::int64_t>(
       control ? kControlFrameBytesMax : std::max(kChunkBytesMax, kControlFrameBytesMax));
@@ -74,7 +74,8 @@ void set_options(zmq::socket_t& socket, ChannelKind kind) {
   socket.set(zmq::sockopt::handshake_ivl, kHandshakeMs);
   socket.set(zmq::sockopt::reconnect_ivl, kReconnectMs);
   socket.set(zmq::sockopt::reconnect_ivl_max, kReconnectMsMax);
-  socket.set(zmq::sockopt::ipv6, true);
+  // Only where it is asked for: with it, IPv4 addresses are reported as mapped IPv6 ones.
+  socket.set(zmq::sockopt::ipv6, endpoint.find('[') != std::string::npos);
   socket.set(zmq::sockopt::tcp_keepalive, 1);
   socket.set(zmq::sockopt::tcp_keepalive_idle, 10);
   socket.set(zmq::sockopt::tcp_keepalive_intvl, 5);
@@ -181,7 +182,7 @@ class ZmqTransport : public Transport {
   Result<std::unique_ptr<Channel>> listen(const std::string& endpoint, ChannelKind kind) override {
     try {
       zmq::socket_t socket{*context_, zmq::socket_type::router};
-      set_options(socket, kind);
+      set_options(socket, endpoint, kind);
       socket.set(zmq::sockopt::backlog, kBacklog);
       socket.set(zmq::sockopt::router_mandatory, true);
       // A worker whose connection died silently comes back under its own name.
@@ -197,7 +198,7 @@ class ZmqTransport : public Transport {
                                            const SessionId& session) override {
     try {
       zmq::socket_t socket{*context_, zmq::socket_type::dealer};
-      set_options(socket, kind);
+      set_options(socket, endpoint, kind);
       const RoutingId id = routing_id(kind, session);
       socket.set(zmq::sockopt::routing_id, zmq::const_buffer(id.data(), id.size()));
       // Only what a living connection can take is queued: nothing of this job waits for the next.

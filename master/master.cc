@@ -240,6 +240,57 @@ Result<void> check_options(const MasterOptions& options, const RenderSettings& s
   return {};
 }
 
+struct Channels {
+  std::unique_ptr<Channel> control{};
+  std::unique_ptr<Channel> bulk{};
+};
+
+Result<Channels> open_channels(Transport& transport, const Endpoint& listen) {
+  auto control = transport.listen(listen.text(), ChannelKind::kControl);
+  if (!control) { return tl::unexpected(control.error()); }
+  // Beside a port that the user chose, so that both can be let through a firewall.
+  Endpoint beside = listen;
+  if (beside.port == 65535) {
+    return fail(ExitCode::kUsage, "port 65535 leaves no port for bulk data, which is one above");
+  }
+  if (beside.port != 0) { ++beside.port; }
+  auto bulk = transport.listen(beside.text(), ChannelKind::kBulk);
+  if (!bulk) { return tl::unexpected(bulk.error()); }
+  return Channels{std::move(*control), std::move(*bulk)};
+}
+
+JobOptions job_options(const MasterOptions& options, const RenderSettings& settings,
+                       const Channels& channels) {
+  JobOptions job;
+  job.key = {random_bits(), random_bits()};
+  job.settings = settings;
+  job.tile_size = options.tile_size;
+  job.count_accesses = options.count_accesses;
+  job.cache = options.cache;
+  job.bulk_port = parse_endpoint(channels.bulk->endpoint())->port;
+  job.wait_workers = options.wait_workers;
+  job.wait = from_seconds(options.wait_workers == 0 ? 0.0 : options.wait_seconds);
+  job.address = channels.control->endpoint();
+  job.build = build_version();
+  job.isa = tracing_isa();
+  job.self_test = numeric_self_test();
+  job.timers = Timers{}.scaled(time_scale());
+  job.seed = random_bits();
+  return job;
+}
+
+// `planner` and `store` outlive the scene.
+JobScene job_scene(const Store& store, Planner& planner) {
+  const std::size_t voxel_count = store.tables().voxels.size();
+  return {store.tables_bytes(), content_hash(store.tables_bytes()),
+          VoxelServer{store.tables_bytes(), voxel_count,
+                      [&store](VoxelId voxel) { return store.block(voxel); }},
+          [&store, voxel_count](VoxelId voxel) {
+            return index_of(voxel) >= voxel_count || store.block_is_intact(voxel);
+          },
+          [&planner](const CacheSize& size) { return planner.plan(size); }};
+}
+
 }  // namespace
 
 Result<MasterResult> run_master(const Store& store, const RenderSettings& settings,
@@ -258,47 +309,17 @@ Result<MasterResult> run_master(const Store& store, const RenderSettings& settin
     }
   }
   std::unique_ptr<Transport> transport = make_zmq_transport();
-  auto control = transport->listen(listen->text(), ChannelKind::kControl);
-  if (!control) { return tl::unexpected(control.error()); }
-  // Beside a port that the user chose, so that both can be let through a firewall.
-  Endpoint beside = *listen;
-  if (beside.port == 65535) {
-    return fail(ExitCode::kUsage, "port 65535 leaves no port for bulk data, which is one above");
-  }
-  if (beside.port != 0) { ++beside.port; }
-  auto bulk = transport->listen(beside.text(), ChannelKind::kBulk);
-  if (!bulk) { return tl::unexpected(bulk.error()); }
+  Result<Channels> channels = open_channels(*transport, *listen);
+  if (!channels) { return tl::unexpected(channels.error()); }
 
   Planner planner{store, prediction, options.preload_share};
-  JobOptions job;
-  job.key = {random_bits(), random_bits()};
-  job.settings = settings;
-  job.tile_size = options.tile_size;
-  job.count_accesses = options.count_accesses;
-  job.cache = options.cache;
-  job.bulk_port = parse_endpoint((*bulk)->endpoint())->port;
-  job.wait_workers = options.wait_workers;
-  job.wait = from_seconds(options.wait_workers == 0 ? 0.0 : options.wait_seconds);
-  job.address = (*control)->endpoint();
-  job.build = build_version();
-  job.isa = tracing_isa();
-  job.self_test = numeric_self_test();
-  job.timers = Timers{}.scaled(time_scale());
-  job.seed = random_bits();
+  JobOptions job = job_options(options, settings, *channels);
   if (ledger.is_open()) {
     job.ledger = [&ledger](const std::string& line) { ledger << line << std::endl; };
   }
-  JobScene scene{store.tables_bytes(), content_hash(store.tables_bytes()),
-                 VoxelServer{store.tables_bytes(), store.tables().voxels.size(),
-                             [&store](VoxelId voxel) { return store.block(voxel); }},
-                 [&store](VoxelId voxel) {
-                   return index_of(voxel) >= store.tables().voxels.size() ||
-                          store.block_is_intact(voxel);
-                 },
-                 [&planner](const CacheSize& size) { return planner.plan(size); }};
-  spdlog::info("event=listening control={} bulk={}", job.address, (*bulk)->endpoint());
-  MasterLoop loop{std::move(transport), std::move(*control), std::move(*bulk), std::move(job),
-                  std::move(scene)};
+  spdlog::info("event=listening control={} bulk={}", job.address, channels->bulk->endpoint());
+  MasterLoop loop{std::move(transport), std::move(channels->control), std::move(channels->bulk),
+                  std::move(job), job_scene(store, planner)};
   if (auto started = loop.start_workers(options); !started) {
     return tl::unexpected(started.error());
   }

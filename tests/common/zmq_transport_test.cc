@@ -78,6 +78,13 @@ TEST(ZmqTransport, AUsedPortIsAUsageErrorThatNamesIt) {
   EXPECT_NE(second.error().message.find("Address already in use"), std::string::npos);
 }
 
+TEST(ZmqTransport, NamesAnIpv4EndpointAsItWasGiven) {
+  const auto server = make_zmq_transport()->listen("tcp://127.0.0.1:*", ChannelKind::kControl);
+
+  ASSERT_TRUE(server.has_value());
+  EXPECT_TRUE((*server)->endpoint().starts_with("tcp://127.0.0.1:")) << (*server)->endpoint();
+}
+
 TEST(ZmqTransport, ListensOnIpv6Loopback) {
   const auto server = make_zmq_transport()->listen("tcp://[::1]:*", ChannelKind::kControl);
 

@@ -1,0 +1,431 @@
+// A whole cluster in one thread: the master's job and many workers' sessions over a network that
+// delays, loses and damages, with workers that die, stop, continue and join. Seeds replay.
+
+#include <gtest/gtest.h>
+
+#include <deque>
+#include <map>
+#include <memory>
+#include <random>
+#include <set>
+#include <string>
+
+#include "common/content_hash.h"
+#include "common/scene_tables_codec.h"
+#include "master/job.h"
+#include "tests/scenes/grid_store.h"
+#include "tests/scenes/soups.h"
+#include "worker/worker_session.h"
+
+namespace preheat {
+namespace {
+
+using std::chrono::milliseconds;
+
+constexpr std::uint32_t kTileSize = 8;
+constexpr std::uint32_t kWidth = 100;
+constexpr std::uint32_t kHeight = 60;
+constexpr const char* kBuild = "sim";
+
+struct Faults {
+  double loss = 0.0;
+  double damage = 0.0;
+  bool kills = false;
+  bool stops = false;
+  bool master_stops = false;
+};
+
+float value_of(TileId tile) { return 0.5F + static_cast<float>(index_of(tile)); }
+
+// The scene that the simulated master serves.
+struct SimScene {
+  test::GridStore store = test::cut_into_grid(test::soup(300, 0.1F, 7), 3);
+  std::vector<std::byte> tables{};
+
+  SimScene() {
+    std::uint64_t offset = 0;
+    for (std::size_t voxel = 0; voxel < store.blocks.size(); ++voxel) {
+      store.tables.voxels[voxel].hash = content_hash(store.blocks[voxel]->bytes());
+      store.tables.voxels[voxel].block_offset = offset;
+      offset += (store.blocks[voxel]->bytes().size() + 15) / 16 * 16;
+    }
+    tables = encode_scene_tables(store.tables);
+  }
+};
+
+// A renderer that computes nothing: every tile needs two voxels and some time.
+struct SimWorker {
+  SessionId id{};
+  std::unique_ptr<WorkerSession> session{};
+  std::mt19937_64 random{};
+  bool alive = true;
+  Time stopped_until{};
+  bool started = false;
+  std::set<VoxelId> hot_missing{};
+  bool hot_set = false;
+  bool hot_told = false;
+  std::set<VoxelId> held{};
+  std::deque<TileId> queue{};
+  std::optional<TileId> tile{};
+  std::set<VoxelId> tile_needs{};
+  Time tile_end{};
+  RendererCounts counts{};
+  std::optional<ExitCode> exit{};
+};
+
+class Cluster {
+ public:
+  Cluster(std::uint64_t seed, const Faults& faults) : random_(seed), faults_(faults) {
+    JobOptions options;
+    options.key = {1, seed};
+    options.settings.width = kWidth;
+    options.settings.height = kHeight;
+    options.tile_size = kTileSize;
+    options.bulk_port = 4001;
+    options.address = "sim";
+    options.build = kBuild;
+    options.seed = seed;
+    options.ledger = [this](const std::string& line) {
+      commits_ += line.find("\"commit\"") != std::string::npos ? 1U : 0U;
+    };
+    job_ = std::make_unique<Job>(
+        options,
+        JobScene{scene_.tables, content_hash(scene_.tables),
+                 VoxelServer{scene_.tables, scene_.store.blocks.size(),
+                             [this](VoxelId voxel) {
+                               return scene_.store.blocks[index_of(voxel)]->bytes();
+                             }},
+                 [](VoxelId) { return true; },
+                 [this](const CacheSize&) { return Result<WorkerPlan>(plan()); }},
+        now_);
+  }
+
+  void join() {
+    auto worker = std::make_unique<SimWorker>();
+    worker->id = {random_(), random_()};
+    worker->random.seed(random_());
+    Hello hello;
+    hello.session = worker->id;
+    hello.build.text = kBuild;
+    worker->session =
+        std::make_unique<WorkerSession>(hello, Timers{}, std::chrono::seconds(60), now_);
+    workers_.push_back(std::move(worker));
+  }
+
+  void run(Duration limit) {
+    const Time end = now_ + limit;
+    while (!job_->over() && now_ < end) { step(); }
+  }
+
+  void step() {
+    now_ += milliseconds(1 + random_() % 20);
+    disturb();
+    const bool master_runs = now_ >= master_stopped_until_;
+    deliver(master_runs);
+    for (auto& worker : workers_) {
+      if (worker->alive && now_ >= worker->stopped_until) { run_worker(*worker); }
+    }
+    if (!master_runs) { return; }
+    job_->tick(now_);
+    for (Outgoing& outgoing : job_->take_outgoing()) { post_to_worker(outgoing); }
+  }
+
+  Job& job() { return *job_; }
+  [[nodiscard]] std::uint64_t commits() const { return commits_; }
+  std::vector<std::unique_ptr<SimWorker>>& workers() { return workers_; }
+  std::uint64_t lost = 0;
+  std::uint64_t killed = 0;
+  std::uint64_t stopped = 0;
+
+ private:
+  struct Mail {
+    bool to_master = false;
+    ChannelKind channel{};
+    SessionId session{};
+    std::vector<std::byte> head{};
+    std::vector<std::byte> data{};
+  };
+
+  WorkerPlan plan() const {
+    auto hot = std::make_shared<EncodedPlan>();
+    for (std::uint32_t voxel = 0; voxel < scene_.store.blocks.size() / 2; ++voxel) {
+      for (unsigned byte = 0; byte < 4; ++byte) {
+        hot->bytes.push_back(static_cast<std::byte>(voxel >> (8 * byte)));
+      }
+    }
+    hot->hash = content_hash(hot->bytes);
+    return {scene_.store.tables.resident_bytes(), hot};
+  }
+
+  bool chance(double probability) {
+    return static_cast<double>(random_() >> 11) * 0x1p-53 < probability;
+  }
+
+  void disturb() {
+    if (faults_.kills && chance(0.002)) {
+      const std::size_t victim = random_() % workers_.size();
+      if (workers_[victim]->alive) {
+        workers_[victim]->alive = false;
+        ++killed;
+        // Half of the time the connection tells, else only silence does.
+        if (chance(0.5)) { job_->on_gone(workers_[victim]->id, now_); }
+        join();
+      }
+    }
+    if (faults_.stops && chance(0.002)) {
+      workers_[random_() % workers_.size()]->stopped_until = now_ + std::chrono::seconds(8);
+      ++stopped;
+    }
+    if (faults_.master_stops && chance(0.0005)) {
+      master_stopped_until_ = now_ + std::chrono::seconds(20);
+      ++stopped;
+    }
+  }
+
+  // Messages of one connection keep their order; what is lost was lost with its connection.
+  void post(Mail mail) {
+    if (chance(faults_.loss)) {
+      ++lost;
+      return;
+    }
+    if (!mail.data.empty() && chance(faults_.damage)) {
+      mail.data[random_() % mail.data.size()] ^= std::byte{4};
+    }
+    const auto link = std::tuple(mail.to_master, mail.channel, mail.session.low);
+    Time& last = link_last_[link];
+    last = std::max(last, now_ + milliseconds(random_() % 30));
+    mail_.emplace(last, std::move(mail));
+  }
+
+  void post_to_worker(const Outgoing& outgoing) {
+    const auto& bytes = outgoing.data.bytes;
+    post({false,
+          outgoing.channel,
+          outgoing.to,
+          encode_frame(job_->key(), outgoing.message),
+          {bytes.begin(), bytes.end()}});
+  }
+
+  void deliver(bool master_runs) {
+    std::multimap<Time, Mail> later;
+    while (!mail_.empty() && mail_.begin()->first <= now_) {
+      const Mail mail = std::move(mail_.extract(mail_.begin()).mapped());
+      const auto frame = decode_frame(mail.head);
+      ASSERT_TRUE(frame.has_value());
+      const Payload data{mail.data, nullptr};
+      if (mail.to_master) {
+        if (!master_runs) {
+          later.emplace(now_, mail);
+        } else if (mail.channel == ChannelKind::kControl) {
+          job_->on_control(mail.session, *frame, now_);
+        } else {
+          job_->on_bulk(mail.session, *frame, data, now_);
+        }
+        continue;
+      }
+      for (auto& worker : workers_) {
+        if (worker->id != mail.session || !worker->alive) { continue; }
+        if (now_ < worker->stopped_until) {
+          later.emplace(now_, mail);
+        } else if (mail.channel == ChannelKind::kControl) {
+          worker->session->on_control(*frame, now_);
+        } else {
+          worker->session->on_bulk(*frame, data, now_);
+        }
+      }
+    }
+    mail_.merge(later);
+  }
+
+  void run_worker(SimWorker& worker) {
+    if (worker.exit) { return; }
+    render(worker);
+    worker.session->set_counts(worker.counts);
+    worker.session->tick(now_);
+    for (WorkerAction& action : worker.session->take_actions()) {
+      std::visit([&](auto& what) { perform(worker, what); }, action);
+    }
+    for (Outgoing& outgoing : worker.session->take_outgoing()) {
+      const auto& bytes = outgoing.data.bytes;
+      post({true,
+            outgoing.channel,
+            worker.id,
+            encode_frame(worker.session->job(), outgoing.message),
+            {bytes.begin(), bytes.end()}});
+    }
+  }
+
+  void render(SimWorker& worker) {
+    if (worker.hot_set && !worker.hot_told && worker.hot_missing.empty()) {
+      worker.hot_told = true;
+      worker.session->on_hot_set_ready({});
+    }
+    if (!worker.hot_told) { return; }
+    if (worker.tile && worker.tile_needs.empty()) {
+      ++worker.counts.progress;
+      if (now_ >= worker.tile_end) {
+        const TileRect rect = TileGrid{kWidth, kHeight, kTileSize}.rect(*worker.tile);
+        const std::size_t pixels = std::size_t{rect.width} * rect.height;
+        TileDone done{*worker.tile,
+                      {std::vector<float>(pixels * 3, value_of(*worker.tile)),
+                       std::vector<float>(pixels, 0.0F)}};
+        worker.tile.reset();
+        ++worker.counts.stats.tiles;
+        worker.session->on_tile_done(done, now_);
+      }
+    }
+    if (!worker.tile && !worker.queue.empty()) {
+      worker.tile = worker.queue.front();
+      worker.queue.pop_front();
+      worker.tile_end = now_ + milliseconds(50 + worker.random() % 300);
+      for (int i = 0; i < 2; ++i) {
+        const VoxelId voxel{
+            static_cast<std::uint32_t>(worker.random() % scene_.store.blocks.size())};
+        if (worker.held.contains(voxel) || !worker.tile_needs.insert(voxel).second) { continue; }
+        worker.session->on_voxel_needed(voxel);
+      }
+    }
+  }
+
+  void perform(SimWorker& /*worker*/, const ConnectBulk& /*connect*/) {}
+  void perform(SimWorker& worker, const StartRenderer& start) {
+    EXPECT_EQ(start.tables.voxels.size(), scene_.store.blocks.size());
+    EXPECT_FALSE(worker.started);
+    worker.started = true;
+  }
+  void perform(SimWorker& worker, const SetHotVoxels& hot) {
+    EXPECT_TRUE(worker.started);
+    worker.hot_set = true;
+    worker.hot_missing.insert(hot.voxels.begin(), hot.voxels.end());
+  }
+  void perform(SimWorker& worker, const DeliverVoxel& deliver) {
+    const auto& expected = scene_.store.blocks[index_of(deliver.voxel)]->bytes();
+    EXPECT_TRUE(std::equal(deliver.bytes.bytes.begin(), deliver.bytes.bytes.end(), expected.begin(),
+                           expected.end()));
+    worker.hot_missing.erase(deliver.voxel);
+    worker.tile_needs.erase(deliver.voxel);
+    if (worker.random() % 2 == 0) { worker.held.insert(deliver.voxel); }
+  }
+  void perform(SimWorker& worker, const AddTile& add) { worker.queue.push_back(add.tile); }
+  void perform(SimWorker& worker, const CancelTile& cancel) {
+    std::erase(worker.queue, cancel.tile);
+  }
+  void perform(SimWorker& worker, const Finish& finish) { worker.exit = finish.code; }
+
+  std::mt19937_64 random_;
+  Faults faults_;
+  SimScene scene_;
+  Time now_ = Time{} + std::chrono::hours(1);
+  std::unique_ptr<Job> job_;
+  std::vector<std::unique_ptr<SimWorker>> workers_;
+  std::multimap<Time, Mail> mail_;
+  std::map<std::tuple<bool, ChannelKind, std::uint64_t>, Time> link_last_;
+  Time master_stopped_until_{};
+  std::uint64_t commits_ = 0;
+};
+
+// Every tile committed once, and every pixel is that of its tile.
+void expect_whole(Cluster& cluster) {
+  ASSERT_TRUE(cluster.job().over());
+  const auto result = cluster.job().take_result();
+  ASSERT_TRUE(result.has_value()) << result.error().message;
+  EXPECT_TRUE(result->poisoned_tiles.empty());
+  EXPECT_EQ(result->leases.mismatches, 0U);
+  const TileGrid grid{kWidth, kHeight, kTileSize};
+  EXPECT_EQ(cluster.commits(), grid.count());
+  for (std::uint32_t y = 0; y < kHeight; ++y) {
+    for (std::uint32_t x = 0; x < kWidth; ++x) {
+      const TileId tile{y / kTileSize * grid.columns() + x / kTileSize};
+      ASSERT_EQ(result->film.rgb()[(std::size_t{y} * kWidth + x) * 3], value_of(tile));
+    }
+  }
+}
+
+TEST(Cluster, RendersWithoutFaultsAndWithoutDuplicates) {
+  Cluster cluster{1, {}};
+  for (int i = 0; i < 3; ++i) { cluster.join(); }
+  cluster.run(std::chrono::minutes(5));
+
+  ASSERT_TRUE(cluster.job().over());
+  for (const auto& worker : cluster.workers()) { EXPECT_EQ(worker->exit, ExitCode::kDone); }
+  expect_whole(cluster);
+}
+
+TEST(Cluster, CountsNoDuplicateWhereNothingFailed) {
+  Cluster cluster{2, {}};
+  for (int i = 0; i < 3; ++i) { cluster.join(); }
+  cluster.run(std::chrono::minutes(5));
+  const auto result = cluster.job().take_result();
+
+  ASSERT_TRUE(result.has_value());
+  EXPECT_EQ(result->leases.duplicates, 0U);
+  EXPECT_EQ(result->leases.expired, 0U);
+  EXPECT_EQ(result->leases.granted, 104U);
+}
+
+struct Case {
+  const char* name;
+  Faults faults;
+};
+
+class ClusterFaults : public ::testing::TestWithParam<Case> {};
+
+TEST_P(ClusterFaults, EndInTheSameImage) {
+  std::uint64_t lost = 0;
+  std::uint64_t killed = 0;
+  std::uint64_t stopped = 0;
+  for (std::uint64_t seed = 1; seed <= 25; ++seed) {
+    SCOPED_TRACE("seed " + std::to_string(seed));
+    Cluster cluster{seed, GetParam().faults};
+    for (int i = 0; i < 4; ++i) { cluster.join(); }
+    cluster.run(std::chrono::minutes(60));
+    expect_whole(cluster);
+    lost += cluster.lost;
+    killed += cluster.killed;
+    stopped += cluster.stopped;
+  }
+  // The faults were there.
+  EXPECT_EQ(lost > 0, GetParam().faults.loss > 0.0);
+  EXPECT_EQ(killed > 0, GetParam().faults.kills);
+  EXPECT_EQ(stopped > 0, GetParam().faults.stops || GetParam().faults.master_stops);
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    Kinds, ClusterFaults,
+    ::testing::Values(
+        Case{"Loss", {.loss = 0.05}}, Case{"Damage", {.damage = 0.002}},
+        Case{"Kills", {.kills = true}}, Case{"Stops", {.stops = true}},
+        Case{"MasterStops", {.master_stops = true}},
+        Case{"All",
+             {.loss = 0.02, .damage = 0.001, .kills = true, .stops = true, .master_stops = true}}),
+    [](const auto& info) { return info.param.name; });
+
+TEST(Cluster, WithoutWorkersEndsInTime) {
+  Cluster cluster{1, {}};
+  cluster.run(std::chrono::minutes(5));
+
+  ASSERT_TRUE(cluster.job().over());
+  const auto result = cluster.job().take_result();
+  ASSERT_FALSE(result.has_value());
+  EXPECT_EQ(result.error().code, ExitCode::kNoWorkers);
+}
+
+TEST(Cluster, AWorkerWithoutMasterGivesUp) {
+  Hello hello;
+  const Time start{};
+  WorkerSession session{hello, Timers{}, std::chrono::seconds(60), start};
+  for (int second = 1; second < 60; ++second) {
+    session.tick(start + std::chrono::seconds(second));
+  }
+  EXPECT_FALSE(session.over());
+
+  session.tick(start + std::chrono::seconds(60));
+
+  EXPECT_TRUE(session.over());
+  const auto actions = session.take_actions();
+  ASSERT_EQ(actions.size(), 1U);
+  EXPECT_EQ(std::get<Finish>(actions[0]).code, ExitCode::kMasterGone);
+}
+
+}  // namespace
+}  // namespace preheat
