@@ -321,6 +321,36 @@ TEST(Path, NoShadowRayWithoutAContribution) {
   }
 }
 
+// An interpolated normal that leans by 60 degrees: what is above it and below the true surface must
+// stay dark, or light would leak through walls.
+TEST(Path, LeaningNormalsLetNoLightThrough) {
+  TriangleScene scene;
+  const auto floor = scene.add_material(coated(0.5F));
+  PunctualLight light;
+  light.kind = PunctualLightKind::kDirectional;
+  light.intensity = Vec3(1.0F);
+  light.direction = glm::normalize(Vec3(-1.0F, 0.2F, 0.0F));  // from below the horizon
+  scene.tables().lights.push_back(light);
+  const Shading shading(scene.tables(), settings_of(64, 1, 4));
+  SurfaceHit hit = hit_at(Vec3(0.0F), Vec3(0.0F, 1.0F, 0.0F));
+  hit.normal_shading = Vec3(0.8660254F, 0.5F, 0.0F);
+  hit.material = floor;
+  int scattered = 0;
+
+  for (std::uint32_t pixel = 0; pixel < 4096; ++pixel) {
+    for (const Vec3& from : {Vec3(0.3F, -1.0F, 0.2F), Vec3(0.9F, -0.2F, 0.0F)}) {
+      PathState path;
+      path.pixel = pixel;
+      const ShadedVertex vertex = shading.shade_hit(ray_along(from), hit, path);
+      ASSERT_FALSE(vertex.has_shadow_ray);
+      if (!vertex.has_scatter_ray) { continue; }
+      ++scattered;
+      ASSERT_GT(vertex.scatter.direction.y, 0.0F) << "seed " << kSeed;
+    }
+  }
+  EXPECT_GT(scattered, 2000);
+}
+
 TEST(Path, CountsRaysByItsRules) {
   struct Case {
     std::uint32_t bounces;
@@ -587,7 +617,8 @@ TEST(Path, ImageIsTheSameEverywhere) {
   Film film(24, 24);
   film.assign({0, 0, 24, 24}, tile.finish(settings.spp));
 
-  EXPECT_EQ(film.pixels_sha256(), "6617e0aa23dedccc640774119bf7005749216672f25b8b8c01644d69e30e31f0");
+  EXPECT_EQ(film.pixels_sha256(),
+            "6617e0aa23dedccc640774119bf7005749216672f25b8b8c01644d69e30e31f0");
 }
 
 TEST(Path, SurvivalIsAProbabilityOnceRouletteBegins) {

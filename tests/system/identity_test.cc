@@ -15,7 +15,7 @@
 namespace preheat {
 namespace {
 
-const std::string kProgram = PREHEAT_BINARY_DIR "/preheat";
+const std::string kProgram = PREHEAT_PROGRAM_DIR "/preheat";
 
 struct Combination {
   unsigned workers = 1;
