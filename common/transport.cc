@@ -39,8 +39,14 @@ Result<Endpoint> parse_endpoint(const std::string& text) {
 }
 
 bool is_loopback(const Endpoint& endpoint) {
-  const std::string_view host = endpoint.host;
+  std::string_view host = endpoint.host;
   if (host == "localhost" || host == "[::1]") { return true; }
+  // How an IPv6 socket names an IPv4 address that it is bound to.
+  constexpr std::string_view kMapped = "[::ffff:";
+  if (host.starts_with(kMapped)) {
+    host.remove_prefix(kMapped.size());
+    host.remove_suffix(1);
+  }
   // 127.0.0.0/8, as digits and dots only: "127.example.org" is a name.
   return host.starts_with("127.") &&
          host.find_first_not_of("0123456789.") == std::string_view::npos;
