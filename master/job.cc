@@ -216,7 +216,7 @@ void Job::handle(Worker& worker, const WorkerHeartbeat& heartbeat, Time now) {
 void Job::handle(Worker& worker, const Fault& fault, Time now) {
   spdlog::warn("event=worker_fault worker={} reason=\"{}\"", index_of(worker.id), fault.text.text);
   if (fault.kind == FaultKind::kWorkerFailed) {
-    lose(worker, "it failed", now);
+    lose(worker, Loss::kDied, "it failed", now);
     return;
   }
   const std::uint32_t voxel = index_of(fault.voxel);
@@ -244,10 +244,10 @@ void Job::handle(Worker& worker, const Goodbye& goodbye, Time now) {
 
 void Job::expel(Worker& worker, const Refuse& reason, Time now) {
   send(worker, ChannelKind::kControl, reason);
-  lose(worker, "it was sent away", now);
+  lose(worker, Loss::kSilent, "it was sent away", now);
 }
 
-void Job::lose(Worker& worker, const char* why, Time now) {
+void Job::lose(Worker& worker, Loss loss, const char* why, Time now) {
   if (worker.presence == Presence::kAbsent) { return; }
   spdlog::warn("event=worker_lost worker={} leases={} reason=\"{}\"", index_of(worker.id),
                leases_.held_count(worker.id), why);
@@ -255,6 +255,10 @@ void Job::lose(Worker& worker, const char* why, Time now) {
        index_of(worker.id), leases_.held_count(worker.id));
   worker.presence = Presence::kAbsent;
   worker.assemblies.clear();
+  if (loss == Loss::kSilent) {
+    leases_.remove_worker(worker.id);
+    return;
+  }
   for (const TileId tile : leases_.worker_died(worker.id)) {
     spdlog::error("event=tile_given_up tile={} reason=\"three workers died on it\"",
                   index_of(tile));
@@ -263,7 +267,7 @@ void Job::lose(Worker& worker, const char* why, Time now) {
 }
 
 void Job::on_gone(const SessionId& session, Time now) {
-  if (Worker* worker = find(session)) { lose(*worker, "its connection is gone", now); }
+  if (Worker* worker = find(session)) { lose(*worker, Loss::kDied, "its connection is gone", now); }
 }
 
 void Job::on_child_ended(std::uint32_t process_id, const std::string& how, std::size_t left,
@@ -272,7 +276,9 @@ void Job::on_child_ended(std::uint32_t process_id, const std::string& how, std::
   if (phase_ == Phase::kFarewell || phase_ == Phase::kOver) { return; }
   spdlog::warn("event=child_ended pid={} how=\"{}\" left={}", process_id, how, left);
   for (const auto& worker : workers_) {
-    if (worker->process_id == process_id) { lose(*worker, "its process has ended", now); }
+    if (worker->process_id == process_id) {
+      lose(*worker, Loss::kDied, "its process has ended", now);
+    }
   }
 }
 
@@ -404,7 +410,7 @@ void Job::tick(Time now) {
 void Job::watch_workers(Time now) {
   for (const auto& worker : workers_) {
     if (worker->presence != Presence::kAbsent && now - worker->heard_last >= options_.timers.dead) {
-      lose(*worker, "it is silent", now);
+      lose(*worker, Loss::kSilent, "it is silent", now);
     }
   }
   if (now - heartbeat_last_ < options_.timers.heartbeat) { return; }

@@ -125,7 +125,10 @@ class Job {
 
   void welcome(const Worker& worker);
   void expel(Worker& worker, const Refuse& reason, Time now);
-  void lose(Worker& worker, const char* why, Time now);
+  // A worker that is silent may be stopped or cut off; only one that is seen to end may have been
+  // killed by its tile.
+  enum class Loss : std::uint8_t { kSilent, kDied };
+  void lose(Worker& worker, Loss loss, const char* why, Time now);
   void grant_to(Worker& worker, Time now);
   void grant_to_all(Time now);
   void watch_workers(Time now);

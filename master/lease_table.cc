@@ -12,6 +12,12 @@ LeaseTable::LeaseTable(const TileGrid& grid, Duration lease_min, std::uint64_t s
 void LeaseTable::add_worker(WorkerId worker) {
   if (!live_by_worker_.try_emplace(worker).second) { return; }
   for (auto& [tile, workers] : deaths_) { std::erase(workers, worker); }
+  std::erase_if(poisoned_, [this](TileId tile) {
+    if (deaths_of(tile) >= kDeathsMax) { return false; }
+    tiles_[index_of(tile)].poisoned = false;
+    scheduler_.give_back(tile);
+    return true;
+  });
 }
 
 void LeaseTable::remove_worker(WorkerId worker) {

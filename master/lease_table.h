@@ -44,8 +44,8 @@ class LeaseTable {
  public:
   LeaseTable(const TileGrid& grid, Duration lease_min, std::uint64_t seed);
 
-  // A worker may hold leases from now on. Not news if it may already; if it was thought dead, no tile
-  // killed it.
+  // A worker may hold leases from now on. Not news if it may already; if it was thought dead, no
+  // tile killed it, and one that was given up for that is pending again.
   void add_worker(WorkerId worker);
   // It left in good order, or it died: its tiles are pending again. Returns the tiles that are
   // poisoned by this death.

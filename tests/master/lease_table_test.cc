@@ -167,6 +167,21 @@ TEST(LeaseTable, AWorkerThatComesBackWasKilledByNoTile) {
   EXPECT_TRUE(table.poisoned().empty());
 }
 
+TEST(LeaseTable, ATileGivenUpForAWorkerThatComesBackIsPendingAgain) {
+  LeaseTable table{TileGrid{32, 32, 32}, seconds(10), /*seed=*/1};  // one tile
+  for (const WorkerId worker : {kAnn, kBob, kCyd}) {
+    table.add_worker(worker);
+    ASSERT_NE(table.grant(worker, kStart), std::nullopt);
+    static_cast<void>(table.worker_died(worker));
+  }
+  ASSERT_TRUE(table.finished());
+
+  table.add_worker(kBob);
+
+  EXPECT_FALSE(table.finished());
+  EXPECT_EQ(table.grant(kBob, kStart)->tile, TileId{0});
+}
+
 TEST(LeaseTable, ThePauseOfTheMasterCountsForNobody) {
   LeaseTable table = small_table();
   static_cast<void>(table.grant(kAnn, kStart));

@@ -2,6 +2,7 @@
 // delays, loses and damages, with workers that die, stop, continue and join. Seeds replay.
 
 #include <gtest/gtest.h>
+#include <spdlog/spdlog.h>
 
 #include <deque>
 #include <map>
@@ -366,6 +367,7 @@ TEST(Cluster, CountsNoDuplicateWhereNothingFailed) {
 struct Case {
   const char* name;
   Faults faults;
+  friend void PrintTo(const Case& c, std::ostream* out) { *out << c.name; }
 };
 
 class ClusterFaults : public ::testing::TestWithParam<Case> {};
@@ -398,7 +400,7 @@ INSTANTIATE_TEST_SUITE_P(
         Case{"MasterStops", {.master_stops = true}},
         Case{"All",
              {.loss = 0.02, .damage = 0.001, .kills = true, .stops = true, .master_stops = true}}),
-    [](const auto& info) { return info.param.name; });
+    [](const auto& instance) { return instance.param.name; });
 
 TEST(Cluster, WithoutWorkersEndsInTime) {
   Cluster cluster{1, {}};
@@ -426,6 +428,12 @@ TEST(Cluster, AWorkerWithoutMasterGivesUp) {
   ASSERT_EQ(actions.size(), 1U);
   EXPECT_EQ(std::get<Finish>(actions[0]).code, ExitCode::kMasterGone);
 }
+
+// A million log lines would say nothing.
+class Quiet : public ::testing::Environment {
+  void SetUp() override { spdlog::set_level(spdlog::level::off); }
+};
+const auto* const quiet = ::testing::AddGlobalTestEnvironment(new Quiet);
 
 }  // namespace
 }  // namespace preheat
