@@ -32,15 +32,21 @@ Result<Endpoint> parse_endpoint(const std::string& text) {
   Endpoint endpoint{std::string(host), 0};
   if (port == "*") { return endpoint; }
   const auto [end, error] = std::from_chars(port.data(), port.data() + port.size(), endpoint.port);
-  if (error != std::errc{} || end != port.data() + port.size() || endpoint.port == 0) {
-    return bad("the port is no number from 1 to 65535");
+  if (error != std::errc{} || end != port.data() + port.size()) {
+    return bad("the port is no number up to 65535");
   }
   return endpoint;
 }
 
 bool is_loopback(const Endpoint& endpoint) {
-  const std::string_view host = endpoint.host;
+  std::string_view host = endpoint.host;
   if (host == "localhost" || host == "[::1]") { return true; }
+  // How an IPv6 socket names an IPv4 address that it is bound to.
+  constexpr std::string_view kMapped = "[::ffff:";
+  if (host.starts_with(kMapped)) {
+    host.remove_prefix(kMapped.size());
+    host.remove_suffix(1);
+  }
   // 127.0.0.0/8, as digits and dots only: "127.example.org" is a name.
   return host.starts_with("127.") &&
          host.find_first_not_of("0123456789.") == std::string_view::npos;

@@ -1,6 +1,5 @@
 // `preheat`: compiles, inspects, predicts, renders and compares. See README.md.
 #include <fmt/format.h>
-#include <spdlog/spdlog.h>
 
 #include <CLI/CLI.hpp>
 #include <cstdio>
@@ -32,9 +31,10 @@ int report_parse_end(const CLI::App& app, const CLI::ParseError& end, const char
 }
 
 int run(int argument_count, char** arguments) {
+  // The progress line and the summary are for everyone, events for those who ask. The workers that a
+  // render starts inherit this.
+  ::setenv("PREHEAT_LOG", "warn", /*overwrite=*/0);
   set_up_logging("preheat");
-  // A terminal shows the progress line; events are for those who ask.
-  if (std::getenv("PREHEAT_LOG") == nullptr) { spdlog::set_level(spdlog::level::warn); }
   CLI::App app{
       "Distributed path tracer that predicts which parts of a scene will be hot and has "
       "them in every worker's cache before the first ray."};
