@@ -32,8 +32,8 @@ Result<Endpoint> parse_endpoint(const std::string& text) {
   Endpoint endpoint{std::string(host), 0};
   if (port == "*") { return endpoint; }
   const auto [end, error] = std::from_chars(port.data(), port.data() + port.size(), endpoint.port);
-  if (error != std::errc{} || end != port.data() + port.size() || endpoint.port == 0) {
-    return bad("the port is no number from 1 to 65535");
+  if (error != std::errc{} || end != port.data() + port.size()) {
+    return bad("the port is no number up to 65535");
   }
   return endpoint;
 }

@@ -70,7 +70,7 @@ class Transport {
 // tcp://HOST:PORT, taken apart. HOST may be a name, an IPv4 address or [an IPv6 address].
 struct Endpoint {
   std::string host{};      // with its brackets
-  std::uint16_t port = 0;  // 0 = any ("*")
+  std::uint16_t port = 0;  // 0 = any, also written *
   [[nodiscard]] std::string text() const;
 };
 

@@ -38,6 +38,8 @@ struct RenderOptions {
   std::optional<unsigned> workers{};
   std::string listen{};
   unsigned wait_workers = 1;
+  bool insecure_no_auth = false;
+  std::string ledger{};
   CacheSize cache{};
   std::string cache_text = "25%";
   std::string preload = "transport";
@@ -87,6 +89,8 @@ MasterOptions master_options(const RenderOptions& options) {
   master.tile_size = options.tile_size;
   master.count_accesses = options.count_accesses;
   master.worker_program = worker_program();
+  master.insecure_no_auth = options.insecure_no_auth;
+  master.ledger_file = options.ledger;
   return master;
 }
 
@@ -181,7 +185,14 @@ Result<void> render(const RenderOptions& options) {
       write_image(options.output, result->film, options.exposure_ev, metadata_of(record));
   if (!written) { return written; }
   fmt::print(stderr, "{}", make_summary(record));
-  return write_text_output(options.report, make_report(record).dump(2) + "\n");
+  const auto reported = write_text_output(options.report, make_report(record).dump(2) + "\n");
+  if (reported && !result->poisoned_tiles.empty()) {
+    return fail(
+        ExitCode::kPoisonedTile,
+        fmt::format("{} of the tiles are black: three workers died on each, the first is {}",
+                    result->poisoned_tiles.size(), index_of(result->poisoned_tiles.front())));
+  }
+  return reported;
 }
 
 void add_worker_options(CLI::App& command, RenderOptions& options) {
@@ -201,6 +212,17 @@ void add_worker_options(CLI::App& command, RenderOptions& options) {
       ->check(in_range(1U, kWorkersMax))
       ->capture_default_str()
       ->needs(listen)
+      ->group(kGroup);
+  command
+      .add_flag("--insecure-no-auth", options.insecure_no_auth,
+                "Allow --listen on an address that is not loopback: nothing is encrypted or "
+                "authenticated")
+      ->needs(listen)
+      ->group(kGroup);
+  command
+      .add_option("--ledger", options.ledger,
+                  "Write a JSON line for every lease, result, join and leave")
+      ->type_name("FILE")
       ->group(kGroup);
   auto* const local = command
                           .add_flag("--local", options.local,

@@ -466,7 +466,7 @@ void Job::watch_phase(Time now) {
   if (now - waiting_since_ >= options_.timers.waiting_notice &&
       now - waiting_told_ >= options_.timers.waiting_notice) {
     waiting_told_ = now;
-    spdlog::info("event=waiting_for_workers address={} here={} wanted={} seconds={:.0f}",
+    spdlog::warn("event=waiting_for_workers address={} here={} wanted={} seconds={:.0f}",
                  options_.address, here, wanted, seconds(now - waiting_since_));
   }
 }

@@ -269,7 +269,7 @@ JobOptions job_options(const MasterOptions& options, const RenderSettings& setti
   job.cache = options.cache;
   job.bulk_port = parse_endpoint(channels.bulk->endpoint())->port;
   job.wait_workers = options.wait_workers;
-  job.wait = from_seconds(options.wait_workers == 0 ? 0.0 : options.wait_seconds);
+  job.wait = from_seconds(options.wait_workers == 0 ? 0.0 : options.wait_seconds / time_scale());
   job.address = channels.control->endpoint();
   job.build = build_version();
   job.isa = tracing_isa();
@@ -317,7 +317,9 @@ Result<MasterResult> run_master(const Store& store, const RenderSettings& settin
   if (ledger.is_open()) {
     job.ledger = [&ledger](const std::string& line) { ledger << line << std::endl; };
   }
-  spdlog::info("event=listening control={} bulk={}", job.address, channels->bulk->endpoint());
+  // Where nobody is started, somebody must be told where to go.
+  spdlog::log(options.workers_to_start == 0 ? spdlog::level::warn : spdlog::level::info,
+              "event=listening control={} bulk={}", job.address, channels->bulk->endpoint());
   MasterLoop loop{std::move(transport), std::move(channels->control), std::move(channels->bulk),
                   std::move(job), job_scene(store, planner)};
   if (auto started = loop.start_workers(options); !started) {

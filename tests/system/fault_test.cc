@@ -1,0 +1,502 @@
+// Masters and workers as processes, with what goes wrong in real life: killed, stopped, late, of
+// another version, alone, talked to by strangers. The image is always that of `--local`.
+//
+// PREHEAT_KILLS sets how many workers are killed in one render (default 6).
+
+#include <arpa/inet.h>
+#include <fcntl.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <chrono>
+#include <csignal>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <iostream>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <random>
+#include <sstream>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "common/codec.h"
+#include "common/self_test.h"
+#include "common/zmq_transport.h"
+
+namespace preheat {
+namespace {
+
+namespace fs = std::filesystem;
+using std::chrono::milliseconds;
+using ::testing::HasSubstr;
+
+constexpr const char* kTimeScale = "4";  // dead after 1.25 s
+constexpr milliseconds kPatience{60'000};
+
+// A child with its stdout and stderr in a file; killed if the test ends before it.
+class Process {
+ public:
+  Process(const std::string& program, const std::vector<std::string>& arguments, fs::path log,
+          const char* time_scale = kTimeScale)
+      : log_(std::move(log)) {
+    std::vector<char*> argv{const_cast<char*>(program.c_str())};
+    for (const std::string& argument : arguments) {
+      argv.push_back(const_cast<char*>(argument.c_str()));
+    }
+    argv.push_back(nullptr);
+    pid_ = ::fork();
+    if (pid_ != 0) { return; }
+    const int out = ::open(log_.c_str(), O_WRONLY | O_CREAT | O_TRUNC, 0600);
+    ::dup2(out, STDOUT_FILENO);
+    ::dup2(out, STDERR_FILENO);
+    ::setenv("PREHEAT_TIME_SCALE", time_scale, 1);
+    ::setenv("PREHEAT_LOG", "info", 1);
+    ::execv(program.c_str(), argv.data());
+    ::_exit(127);
+  }
+  ~Process() {
+    if (running()) {
+      ::kill(pid_, SIGKILL);
+      ::waitpid(pid_, nullptr, 0);
+    }
+  }
+  Process(const Process&) = delete;
+  Process& operator=(const Process&) = delete;
+
+  [[nodiscard]] pid_t pid() const { return pid_; }
+  void signal(int number) const { ::kill(pid_, number); }
+
+  [[nodiscard]] bool running() {
+    if (!ended_) {
+      int status = 0;
+      if (::waitpid(pid_, &status, WNOHANG) == pid_) {
+        ended_ = WIFEXITED(status) ? WEXITSTATUS(status) : -WTERMSIG(status);
+      }
+    }
+    return !ended_;
+  }
+
+  // The exit code, a negative signal, or nothing after a minute.
+  [[nodiscard]] std::optional<int> wait() {
+    const auto end = std::chrono::steady_clock::now() + kPatience;
+    while (running() && std::chrono::steady_clock::now() < end) {
+      std::this_thread::sleep_for(milliseconds(5));
+    }
+    return ended_;
+  }
+
+  [[nodiscard]] std::string log() const {
+    std::ifstream stream(log_);
+    return {std::istreambuf_iterator<char>(stream), {}};
+  }
+
+ private:
+  fs::path log_;
+  pid_t pid_ = 0;
+  std::optional<int> ended_{};
+};
+
+sockaddr_in loopback(unsigned port) {
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_port = htons(static_cast<std::uint16_t>(port));
+  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  return address;
+}
+
+bool is_free(unsigned port) {
+  const int fd = ::socket(AF_INET, SOCK_STREAM, 0);
+  const sockaddr_in address = loopback(port);
+  const bool free = ::bind(fd, reinterpret_cast<const sockaddr*>(&address), sizeof address) == 0;
+  ::close(fd);
+  return free;
+}
+
+// A port with the one above, below the range from which the system takes its own.
+unsigned free_port_pair() {
+  std::mt19937 random{
+      static_cast<std::uint32_t>(::getpid()) * 7919U +
+      static_cast<std::uint32_t>(std::chrono::steady_clock::now().time_since_epoch().count())};
+  for (;;) {
+    const auto port = static_cast<unsigned>(20000 + random() % 10000);
+    if (is_free(port) && is_free(port + 1)) { return port; }
+  }
+}
+
+class Faults : public ::testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    std::string name = (fs::temp_directory_path() / "preheat_faults_XXXXXX").string();
+    ASSERT_NE(::mkdtemp(name.data()), nullptr);
+    folder = name;
+    Process compile{kPreheat, {"compile", "demo:50000", "-o", path("demo.store")}, path("log")};
+    ASSERT_EQ(compile.wait(), 0) << compile.log();
+    Process local{kPreheat, render_arguments("local", {"--local"}), path("local.log")};
+    ASSERT_EQ(local.wait(), 0) << local.log();
+    expected = report_of("local")["image"]["pixels_sha256"];
+  }
+  static void TearDownTestSuite() { fs::remove_all(folder); }
+
+  void SetUp() override {
+    port_ = free_port_pair();
+    address_ = "tcp://127.0.0.1:" + std::to_string(port_);
+  }
+  void TearDown() override { workers_.clear(); }
+
+  static std::string path(const std::string& name) { return (folder / name).string(); }
+
+  static std::vector<std::string> render_arguments(const std::string& name,
+                                                   std::vector<std::string> more) {
+    std::vector<std::string> arguments{"render",   path("demo.store"),
+                                       "-o",       path(name + ".exr"),
+                                       "--report", path(name + ".json"),
+                                       "--size",   "160x120",
+                                       "--spp",    "8"};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return arguments;
+  }
+  static nlohmann::json report_of(const std::string& name) {
+    return nlohmann::json::parse(std::ifstream(path(name + ".json")));
+  }
+
+  // A master that waits for workers at address_, in tiles of 8: 300 of them.
+  std::unique_ptr<Process> start_master(const std::string& name,
+                                        std::vector<std::string> more = {}) {
+    std::vector<std::string> all{"--listen", address_, "--ledger",    path(name + ".ledger"),
+                                 "--cache",  "60%",    "--tile-size", "8"};
+    all.insert(all.end(), more.begin(), more.end());
+    return std::make_unique<Process>(kPreheat, render_arguments(name, all), path(name + ".log"));
+  }
+  Process& start_worker() {
+    const std::string log = path("worker" + std::to_string(workers_.size()) + ".log");
+    workers_.push_back(
+        std::make_unique<Process>(kWorker, std::vector<std::string>{"--connect", address_}, log));
+    return *workers_.back();
+  }
+
+  // Events so far.
+  static std::vector<nlohmann::json> ledger_of(const std::string& name) {
+    std::vector<nlohmann::json> events;
+    std::ifstream stream(path(name + ".ledger"));
+    for (std::string line; std::getline(stream, line);) {
+      nlohmann::json event = nlohmann::json::parse(line, nullptr, /*allow_exceptions=*/false);
+      if (!event.is_discarded()) { events.push_back(std::move(event)); }
+    }
+    return events;
+  }
+  static std::size_t count(const std::string& name, const std::string& event) {
+    std::size_t found = 0;
+    for (const nlohmann::json& entry : ledger_of(name)) {
+      found += entry["event"] == event ? 1U : 0U;
+    }
+    return found;
+  }
+  static bool wait_for(const std::string& name, const std::string& event, std::size_t at_least,
+                       Process& master) {
+    while (master.running()) {
+      if (count(name, event) >= at_least) { return true; }
+      std::this_thread::sleep_for(milliseconds(5));
+    }
+    return count(name, event) >= at_least;
+  }
+
+  // Exit 0, the image of --local, every tile committed exactly once, no two results different.
+  static void expect_whole(const std::string& name, Process& master) {
+    ASSERT_EQ(master.wait(), 0) << master.log();
+    const nlohmann::json report = report_of(name);
+    EXPECT_EQ(report["image"]["pixels_sha256"], expected);
+    EXPECT_EQ(report["leases"]["mismatches"], 0);
+    std::map<int, int> commits;
+    for (const nlohmann::json& event : ledger_of(name)) {
+      if (event["event"] == "commit") { ++commits[event["tile"].get<int>()]; }
+    }
+    EXPECT_EQ(commits.size(), 300U);
+    for (const auto& [tile, times] : commits) { EXPECT_EQ(times, 1) << "tile " << tile; }
+  }
+
+  static inline const std::string kPreheat = PREHEAT_PROGRAM_DIR "/preheat";
+  static inline const std::string kWorker = PREHEAT_PROGRAM_DIR "/preheat-worker";
+  static inline fs::path folder{};
+  static inline std::string expected{};
+
+  unsigned port_ = 0;
+  std::string address_{};
+  std::vector<std::unique_ptr<Process>> workers_{};
+};
+
+TEST_F(Faults, WorkersKilledAtRandomMomentsChangeNothing) {
+  const std::uint32_t seed = std::random_device{}();
+  SCOPED_TRACE("seed " + std::to_string(seed));
+  std::mt19937 random{seed};
+  const char* const wanted = std::getenv("PREHEAT_KILLS");
+  const int kills_max = wanted == nullptr ? 6 : std::atoi(wanted);
+  const auto master = start_master("killed", {"--wait-workers", "2"});
+  std::vector<Process*> alive;
+  for (int i = 0; i < 3; ++i) { alive.push_back(&start_worker()); }
+  ASSERT_TRUE(wait_for("killed", "lease", 1, *master)) << master->log();
+  int kills = 0;
+  while (master->running() && kills < kills_max) {
+    std::this_thread::sleep_for(milliseconds(20 + random() % 300));
+    Process*& victim = alive[random() % alive.size()];
+    victim->signal(SIGKILL);
+    static_cast<void>(victim->wait());
+    ++kills;
+    victim = &start_worker();
+  }
+
+  expect_whole("killed", *master);
+  std::cout << kills << " kills, seed " << seed << ", leases "
+            << report_of("killed")["leases"].dump() << '\n';
+  EXPECT_GE(count("killed", "lost"), 1U);
+}
+
+TEST_F(Faults, AWorkerThatIsStoppedAndContinuedComesBack) {
+  const auto master = start_master("stopped", {"--wait-workers", "2"});
+  start_worker();
+  Process& stopped = start_worker();
+  ASSERT_TRUE(wait_for("stopped", "commit", 10, *master)) << master->log();
+
+  stopped.signal(SIGSTOP);
+  ASSERT_TRUE(wait_for("stopped", "lost", 1, *master)) << master->log();
+  stopped.signal(SIGCONT);
+
+  expect_whole("stopped", *master);
+  EXPECT_GE(count("stopped", "join"), 3U) << stopped.log();
+  EXPECT_EQ(stopped.wait(), 0) << stopped.log();
+}
+
+TEST_F(Faults, AWorkerThatJoinsHalfWayTakesItsShare) {
+  const auto master = start_master("joined");
+  Process& first = start_worker();
+  ASSERT_TRUE(wait_for("joined", "commit", 100, *master)) << master->log();
+  Process& second = start_worker();
+
+  expect_whole("joined", *master);
+  EXPECT_EQ(first.wait(), 0);
+  EXPECT_EQ(second.wait(), 0) << second.log();
+  std::map<int, int> tiles;
+  for (const nlohmann::json& event : ledger_of("joined")) {
+    if (event["event"] == "commit") { ++tiles[event["worker"].get<int>()]; }
+  }
+  EXPECT_GE(tiles[1], 1);
+}
+
+TEST_F(Faults, AWorkerEndedByASignalHandsItsLeasesBack) {
+  const auto master = start_master("left", {"--wait-workers", "2"});
+  start_worker();
+  Process& leaver = start_worker();
+  ASSERT_TRUE(wait_for("left", "commit", 10, *master)) << master->log();
+
+  leaver.signal(SIGTERM);
+
+  EXPECT_EQ(leaver.wait(), 143) << leaver.log();
+  expect_whole("left", *master);
+  EXPECT_EQ(count("left", "lost"), 0U);
+  EXPECT_EQ(report_of("left")["leases"]["expired"], 0);
+}
+
+TEST_F(Faults, AMasterEndedByASignalSaysSoToItsWorkers) {
+  for (const int signal : {SIGINT, SIGTERM}) {
+    const auto master = start_master("ended");
+    Process& worker = start_worker();
+    ASSERT_TRUE(wait_for("ended", "commit", 3, *master)) << master->log();
+
+    master->signal(signal);
+
+    EXPECT_EQ(master->wait(), 128 + signal) << master->log();
+    EXPECT_EQ(worker.wait(), 0) << worker.log();
+    EXPECT_FALSE(fs::exists(path("ended.exr")));
+  }
+}
+
+TEST_F(Faults, AWorkerWhoseMasterWasKilledGivesUp) {
+  const auto master = start_master("orphan");
+  Process worker{kWorker, {"--connect", address_, "--give-up", "2"}, path("orphan_worker.log")};
+  ASSERT_TRUE(wait_for("orphan", "commit", 3, *master)) << master->log();
+
+  master->signal(SIGKILL);
+
+  EXPECT_EQ(worker.wait(), 4) << worker.log();
+  EXPECT_THAT(worker.log(), HasSubstr("no word from the master for 2 seconds"));
+}
+
+TEST_F(Faults, StartedWorkersEndWithTheirMaster) {
+  Process master{kPreheat, render_arguments("children", {"--workers", "2"}), path("children.log")};
+  const auto end = std::chrono::steady_clock::now() + kPatience;
+  while (master.log().find("event=worker_ready") == std::string::npos && master.running() &&
+         std::chrono::steady_clock::now() < end) {
+    std::this_thread::sleep_for(milliseconds(5));
+  }
+  std::vector<int> pids;
+  std::istringstream log(master.log());
+  for (std::string word; log >> word;) {
+    if (word.starts_with("pid=")) { pids.push_back(std::atoi(word.c_str() + 4)); }
+  }
+  ASSERT_EQ(pids.size(), 2U) << master.log();
+
+  master.signal(SIGKILL);
+  static_cast<void>(master.wait());
+
+  for (const int pid : pids) {
+    while (::kill(pid, 0) == 0 && std::chrono::steady_clock::now() < end) {
+      std::this_thread::sleep_for(milliseconds(5));
+    }
+    EXPECT_NE(::kill(pid, 0), 0) << "worker " << pid << " outlived its master";
+  }
+}
+
+TEST_F(Faults, StrangersOnBothPortsDisturbNobody) {
+  const auto master = start_master("strangers");
+  start_worker();
+  ASSERT_TRUE(wait_for("strangers", "commit", 3, *master)) << master->log();
+  std::mt19937 random{7};
+  std::vector<int> strangers;
+  for (int i = 0; i < 100; ++i) {
+    const int fd = ::socket(AF_INET, SOCK_STREAM, 0);
+    const sockaddr_in address = loopback(port_ + static_cast<unsigned>(i % 2));
+    ASSERT_EQ(::connect(fd, reinterpret_cast<const sockaddr*>(&address), sizeof address), 0);
+    std::string garbage(random() % 2000, '\0');
+    for (char& byte : garbage) { byte = static_cast<char>(random()); }
+    static_cast<void>(::send(fd, garbage.data(), garbage.size(), MSG_NOSIGNAL));
+    strangers.push_back(fd);
+  }
+  // And one that speaks ZeroMQ, but nothing else of ours.
+  const auto transport = make_zmq_transport();
+  const auto channel = transport->connect(address_, ChannelKind::kControl, random_session());
+  for (int i = 0; i < 100; ++i) {
+    std::vector<std::byte> garbage(1 + random() % 300);
+    for (std::byte& byte : garbage) { byte = static_cast<std::byte>(random()); }
+    static_cast<void>((*channel)->send({}, garbage, {}));
+    std::this_thread::sleep_for(milliseconds(1));
+  }
+
+  expect_whole("strangers", *master);
+  EXPECT_EQ(count("strangers", "lost"), 0U);
+  for (const int fd : strangers) { ::close(fd); }
+}
+
+// The next control frame within ten seconds.
+std::optional<Received> next_frame(Transport& transport, Channel& channel) {
+  const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(10);
+  while (std::chrono::steady_clock::now() < end) {
+    if (auto received = channel.receive()) { return received; }
+    std::array<Channel*, 1> channels{&channel};
+    transport.wait(channels, -1, milliseconds(50));
+  }
+  return std::nullopt;
+}
+
+TEST_F(Faults, AWorkerOfAnotherVersionIsRefusedWithBothVersions) {
+  const auto master = start_master("refused");
+  const auto transport = make_zmq_transport();
+  const SessionId session = random_session();
+  const auto channel = transport->connect(address_, ChannelKind::kControl, session);
+  Hello hello;
+  hello.session = session;
+  hello.build.text = "9.9.9";
+  const std::vector<std::byte> said = encode_frame({}, hello);
+  while ((*channel)->send({}, said, {}) != SendOutcome::kSent && master->running()) {
+    std::this_thread::sleep_for(milliseconds(5));
+  }
+
+  const auto received = next_frame(*transport, **channel);
+  ASSERT_TRUE(received.has_value()) << master->log();
+  const auto frame = decode_frame(received->head.bytes);
+  ASSERT_TRUE(frame.has_value());
+  const auto* refusal = std::get_if<Refuse>(&frame->message);
+  ASSERT_NE(refusal, nullptr);
+  EXPECT_EQ(refusal->exit_code, 7);
+  EXPECT_THAT(refusal->text.text, HasSubstr("9.9.9"));
+  EXPECT_THAT(refusal->text.text, HasSubstr(build_version()));
+
+  start_worker();
+  expect_whole("refused", *master);
+}
+
+TEST_F(Faults, AWorkerLeavesAMasterOfAnotherProtocolVersion) {
+  const auto transport = make_zmq_transport();
+  const auto server = transport->listen(address_, ChannelKind::kControl);
+  ASSERT_TRUE(server.has_value()) << server.error().message;
+  Process& worker = start_worker();
+  const auto hello = next_frame(*transport, **server);
+  ASSERT_TRUE(hello.has_value()) << worker.log();
+
+  std::vector<std::byte> answer = encode_frame({}, Refuse{7, {"no"}});
+  answer[4] = std::byte{kProtocolVersion + 1};
+  ASSERT_EQ((*server)->send(hello->session, answer, {}), SendOutcome::kSent);
+
+  EXPECT_EQ(worker.wait(), 7);
+  EXPECT_THAT(worker.log(), HasSubstr("version " + std::to_string(kProtocolVersion + 1)));
+  EXPECT_THAT(worker.log(), HasSubstr("version " + std::to_string(kProtocolVersion)));
+}
+
+TEST_F(Faults, AUsedPortIsNamed) {
+  const int fd = ::socket(AF_INET, SOCK_STREAM, 0);
+  const sockaddr_in address = loopback(port_);
+  ASSERT_EQ(::bind(fd, reinterpret_cast<const sockaddr*>(&address), sizeof address), 0);
+  ASSERT_EQ(::listen(fd, 1), 0);
+
+  const auto master = start_master("used");
+
+  EXPECT_EQ(master->wait(), 2);
+  EXPECT_THAT(master->log(), HasSubstr(address_));
+  EXPECT_THAT(master->log(), HasSubstr("Address already in use"));
+  ::close(fd);
+}
+
+TEST_F(Faults, ForeignAddressesNeedToBeAskedFor) {
+  Process master{kPreheat, render_arguments("foreign", {"--listen", "tcp://0.0.0.0:*"}),
+                 path("foreign.log")};
+  Process worker{kWorker, {"--connect", "tcp://192.0.2.1:4000"}, path("foreign_worker.log")};
+
+  EXPECT_EQ(master.wait(), 2);
+  EXPECT_THAT(master.log(), HasSubstr("--insecure-no-auth"));
+  EXPECT_EQ(worker.wait(), 2);
+  EXPECT_THAT(worker.log(), HasSubstr("--insecure-no-auth"));
+}
+
+TEST_F(Faults, NobodyComes) {
+  // 60 s of waiting in one.
+  Process master{kPreheat, render_arguments("alone", {"--listen", address_}), path("alone.log"),
+                 "60"};
+  Process worker{
+      kWorker, {"--connect", "tcp://127.0.0.1:1", "--give-up", "0.5"}, path("alone_worker.log")};
+
+  EXPECT_EQ(master.wait(), 3);
+  EXPECT_THAT(master.log(), HasSubstr("no workers in time: 0 of 1"));
+  EXPECT_EQ(worker.wait(), 4);
+}
+
+TEST_F(Faults, ADamagedVoxelEndsTheJobAndIsNamed) {
+  fs::copy_file(path("demo.store"), path("damaged.store"), fs::copy_options::overwrite_existing);
+  const auto bytes = static_cast<std::streamoff>(fs::file_size(path("damaged.store")));
+  {
+    std::fstream file(path("damaged.store"), std::ios::in | std::ios::out | std::ios::binary);
+    // Blocks are most of a store and come first.
+    for (std::streamoff at = bytes / 8; at < bytes / 2; at += 4096) {
+      file.seekg(at);
+      const int byte = file.get();
+      file.seekp(at);
+      file.put(static_cast<char>(byte ^ 0x55));
+    }
+  }
+  std::vector<std::string> arguments = render_arguments("damaged", {"--workers", "1"});
+  arguments[1] = path("damaged.store");
+
+  Process master{kPreheat, arguments, path("damaged.log")};
+
+  EXPECT_EQ(master.wait(), 5) << master.log();
+  EXPECT_THAT(master.log(), HasSubstr("voxel"));
+  EXPECT_FALSE(fs::exists(path("damaged.exr")));
+}
+
+}  // namespace
+}  // namespace preheat
