@@ -7,8 +7,6 @@
 #include <string>
 #include <utility>
 
-#include "common/voxel_block.h"
-
 namespace preheat {
 namespace {
 
@@ -21,10 +19,6 @@ constexpr float kTransmittanceMin = 1.0F / 512.0F;
 // Voxels that a ray enters this close behind a stop hold the stopping surface themselves: voxel
 // bounds are grown by kVoxelMargin, so a wall between two voxels is in both.
 constexpr float kEntryTolerance = 4.0F * kVoxelMargin;
-
-// A plane is met within this share of its leaf's diagonal, so that rounding opens no seam between
-// the planes of neighbouring leaves.
-constexpr float kPlaneTolerance = 1e-4F;
 
 // -ln(1 - code/255), with a full face standing for 1/1024 that passes.
 const std::array<float, 256>& optical_depths() {
@@ -52,7 +46,8 @@ class Walker {
                         (ray.direction.z < 0.0F ? 4U : 0U)),
         origin_(origin),
         unstopped_(unstopped),
-        accesses_(accesses) {}
+        accesses_(accesses),
+        left_at_(ray.t_min) {}
 
   ProxyStop run() {
     if (origin_.voxel != kNoIndex) { count_access(origin_.voxel, 1.0F); }
@@ -129,7 +124,7 @@ class Walker {
       const Interval span = span_in(node.bounds);
       if (span.is_empty()) { continue; }
       if (node.child_mask == 0) {
-        if (at != origin_.node) { cross_leaf(voxel, at, span); }
+        cross_leaf(voxel, at, span);
         if (transmittance_ == 0.0F) { return; }
         continue;
       }
@@ -148,15 +143,31 @@ class Walker {
     const ProxyNode& node = proxy_.nodes[at];
     const ProxyRecord& record = proxy_.records[node.first];
     if ((record.shape & kShapeFlat) != 0) {
-      cross_plane(voxel, at, span, record, node.bounds);
+      const bool is_own = at == origin_.node;
+      if (is_own || !cross_plane({voxel, at}, span, record, node.bounds)) {
+        leave_through(span, kInfinity);
+      }
     } else {
-      cross_scattered(voxel, at, span, record, node.bounds);
+      cross_scattered({voxel, at}, span, record, node.bounds);
     }
   }
 
-  void cross_plane(std::uint32_t voxel, std::uint32_t at, const Interval& span,
-                   const ProxyRecord& record, const Aabb& bounds) {
-    const Vec3 normal = decode_normal(record.normal);
+  // True if the span is what the ray passes directly behind its origin, without free space between
+  // and no farther than `reach`: the surface that it leaves, as roughly as the proxy knows it.
+  bool leave_through(const Interval& span, float reach) {
+    const bool is_far = span.t_enter > left_at_ + kEntryTolerance || left_at_ - ray_.t_min > reach;
+    if (!is_leaving_ || is_far) {
+      is_leaving_ = false;
+      return false;
+    }
+    left_at_ = std::max(left_at_, span.t_exit);
+    return true;
+  }
+
+  // False if the ray stays on one side of the plane.
+  bool cross_plane(const ProxyOrigin& leaf, const Interval& span, const ProxyRecord& record,
+                   const Aabb& bounds) {
+    const Vec3 normal = record_normal(record);
     const float offset = record_plane_offset(record, normal, bounds);
     const float rate = glm::dot(normal, ray_.direction);
     const float height = glm::dot(normal, ray_.origin) - offset;
@@ -166,48 +177,99 @@ class Walker {
     const float tolerance = kPlaneTolerance * diagonal;
     if (height_enter * height_exit > 0.0F &&
         std::min(std::abs(height_enter), std::abs(height_exit)) > tolerance) {
-      return;
+      return false;
     }
-    if (span.t_exit == ray_.t_max) {
-      const float thickness = diagonal * static_cast<float>(record.thickness) / 65535.0F;
-      if (std::abs(height_exit) <= thickness + 2.0F * tolerance) { return; }
+    // A ray that begins or ends among the layers of the same plane, in whichever leaf, is not
+    // stopped by them: a lamp lights the ceiling that it hangs from.
+    const float layers =
+        2.0F * tolerance + diagonal * static_cast<float>(record.thickness) / 255.0F;
+    const bool has_end = ray_.t_max < kInfinity;
+    if (std::abs(height) <= layers || (has_end && std::abs(height + rate * ray_.t_max) <= layers)) {
+      return true;
     }
     const float t = rate != 0.0F ? std::clamp(-height / rate, span.t_enter, span.t_exit)
                                  : 0.5F * (span.t_enter + span.t_exit);
-    const float passing = 1.0F - static_cast<float>(record.coverage[0]) / 255.0F;
-    pass(voxel, at, passing, t, t);
+    const FlatAxes axes = flat_axes(normal);
+    const Vec3 place = (ray_.origin + t * ray_.direction - bounds.low) / bounds.extent() * 8.0F;
+    const auto u = static_cast<unsigned>(std::clamp(place[axes.u], 0.0F, 7.0F));
+    const auto v = static_cast<unsigned>(std::clamp(place[axes.v], 0.0F, 7.0F));
+    if ((record_mask(record) >> flat_bit(u, v) & 1U) != 0) {
+      pass(leaf, 1.0F - static_cast<float>(record.coverage[0]) / 255.0F, t, t);
+    }
+    return true;
   }
 
-  void cross_scattered(std::uint32_t voxel, std::uint32_t at, const Interval& span,
-                       const ProxyRecord& record, const Aabb& bounds) {
-    if (span.t_exit == ray_.t_max) { return; }
-    const Vec3 extent = bounds.extent();
+  // Steps through the leaf's blocks (Amanatides and Woo 1987) and joins occupied ones to runs.
+  void cross_scattered(const ProxyOrigin& leaf, const Interval& span, const ProxyRecord& record,
+                       const Aabb& bounds) {
+    const Vec3 block = bounds.extent() * 0.25F;
     float density = 0.0F;
-    for (int axis = 0; axis < 3; ++axis) {
-      const float depth = optical_depths()[record.coverage[static_cast<std::size_t>(axis)]];
-      density += std::abs(ray_.direction[axis]) * depth / extent[axis];
+    std::array<float, 3> t_next{};
+    std::array<float, 3> t_step{};
+    std::array<int, 3> at{};
+    const Vec3 place = (ray_.origin + span.t_enter * ray_.direction - bounds.low) / block;
+    for (std::size_t i = 0; i < 3; ++i) {
+      const int axis = static_cast<int>(i);
+      density +=
+          std::abs(ray_.direction[axis]) * optical_depths()[record.coverage[i]] / block[axis];
+      at[i] = static_cast<int>(std::clamp(place[axis], 0.0F, 3.0F));
+      const bool descends = reciprocal_[axis] < 0.0F;
+      const float face =
+          bounds.low[axis] + block[axis] * static_cast<float>(at[i] + (descends ? 0 : 1));
+      t_next[i] = (face - ray_.origin[axis]) * reciprocal_[axis];
+      if (!(t_next[i] >= span.t_enter)) { t_next[i] = kInfinity; }  // never left along this axis
+      t_step[i] = block[axis] * std::abs(reciprocal_[axis]);
     }
-    if (density == 0.0F) { return; }
-    const float passing = std::exp(-density * (span.t_exit - span.t_enter));
+    const std::uint64_t mask = record_mask(record);
+    const float reach = glm::length(block);
+    Interval run{span.t_enter, span.t_enter};  // of occupied blocks, so far
     float t = span.t_enter;
-    if (!stop_.is_stopped && transmittance_ * passing <= unstopped_) {
-      t = std::min(span.t_exit, span.t_enter + std::log(transmittance_ / unstopped_) / density);
+    for (;;) {
+      const std::size_t axis = t_next[0] < t_next[1] ? (t_next[0] < t_next[2] ? 0U : 2U)
+                                                     : (t_next[1] < t_next[2] ? 1U : 2U);
+      const float t_exit = std::min(t_next[axis], span.t_exit);
+      const unsigned bit = block_bit(static_cast<unsigned>(at[0]), static_cast<unsigned>(at[1]),
+                                     static_cast<unsigned>(at[2]));
+      if ((mask >> bit & 1U) == 0) {
+        cross_run(leaf, run, density, reach);
+        run = {t_exit, t_exit};
+      } else if (is_leaving_ && leave_through({t, t_exit}, reach)) {
+        run = {t_exit, t_exit};
+      } else {
+        run.t_exit = t_exit;
+      }
+      t = t_exit;
+      at[axis] += ray_.direction[static_cast<int>(axis)] < 0.0F ? -1 : 1;
+      if (t_next[axis] >= span.t_exit || at[axis] < 0 || at[axis] > 3) { break; }
+      t_next[axis] += t_step[axis];
     }
-    pass(voxel, at, passing, t, span.t_enter);
+    cross_run(leaf, run, density, reach);
   }
 
-  // The ray crosses a leaf that lets `passing` of it through. The walk would stop at t_stop; what
+  // A run that ends within `reach` of the ray's end is the surface that it ends at.
+  void cross_run(const ProxyOrigin& leaf, const Interval& run, float density, float reach) {
+    const float length = run.t_exit - run.t_enter;
+    if (!(length * density > 0.0F) || run.t_exit >= ray_.t_max - reach) { return; }
+    const float passing = std::exp(-density * length);
+    float t = run.t_enter;
+    if (!stop_.is_stopped && transmittance_ > 0.0F && transmittance_ * passing <= unstopped_) {
+      t = std::min(run.t_exit, run.t_enter + std::log(transmittance_ / unstopped_) / density);
+    }
+    pass(leaf, passing, t, run.t_enter);
+  }
+
+  // The ray crosses geometry that lets `passing` of it through. The walk would stop at t_stop; what
   // is lost counts as lost from t_lost.
-  void pass(std::uint32_t voxel, std::uint32_t at, float passing, float t_stop, float t_lost) {
-    if (passing >= 1.0F) { return; }
+  void pass(const ProxyOrigin& leaf, float passing, float t_stop, float t_lost) {
+    if (passing >= 1.0F || transmittance_ == 0.0F) { return; }
     const float after = transmittance_ * passing;
-    if (!stop_.is_stopped && after <= unstopped_) { stop_ = {true, t_stop, {voxel, at}}; }
+    if (!stop_.is_stopped && after <= unstopped_) { stop_ = {true, t_stop, leaf}; }
     if (t_lost > stopped_at_ + kEntryTolerance) {
       stopped_at_ = t_lost;
       transmittance_before_ = transmittance_;
     }
     transmittance_ = after < kTransmittanceMin ? 0.0F : after;
-    if (transmittance_ == 0.0F && !stop_.is_stopped) { stop_ = {true, t_stop, {voxel, at}}; }
+    if (transmittance_ == 0.0F && !stop_.is_stopped) { stop_ = {true, t_stop, leaf}; }
   }
 
   const SceneTables& tables_;
@@ -221,6 +283,8 @@ class Walker {
   float transmittance_ = 1.0F;
   float transmittance_before_ = 1.0F;  // where it last fell, and where that was
   float stopped_at_ = -kInfinity;
+  bool is_leaving_ = true;  // so far only through the surface that the ray begins at
+  float left_at_;           // where that surface has been left
   ProxyStop stop_{};
 };
 

@@ -22,6 +22,10 @@ namespace preheat {
 // order.
 inline constexpr double kAccessUnit = 1 << 20;
 
+// A plane is met within this share of its leaf's diagonal, so that rounding opens no seam between
+// the planes of neighbouring leaves.
+inline constexpr float kPlaneTolerance = 1e-4F;
+
 inline constexpr std::uint32_t kNoIndex = std::numeric_limits<std::uint32_t>::max();
 
 // Where a ray begins: a surface inside this leaf. The leaf does not stop the rays that leave it,

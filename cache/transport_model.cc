@@ -12,7 +12,6 @@
 
 #include "cache/proxy_walk.h"
 #include "common/path.h"
-#include "common/voxel_block.h"
 
 namespace preheat {
 namespace {
@@ -90,14 +89,20 @@ class TransportTracer {
     hit.position = ray.origin + stop.t * ray.direction;
     hit.distance = stop.t;
     hit.triangle = kNoIndex;
-    const float share = static_cast<float>(record.minor_share) / 65535.0F;
-    hit.material =
-        proxy.materials[random.next() < share ? record.material_minor : record.material_major];
     hit.normal_geometric = normal_at(ray, record, node.bounds, random);
     hit.normal_shading = hit.normal_geometric;
+    const bool is_flat = (record.shape & kShapeFlat) != 0;
+    const float facing = glm::dot(hit.normal_geometric, ray.direction) > 0.0F ? -1.0F : 1.0F;
+    const bool is_front = glm::dot(record_normal(record), ray.direction) < 0.0F;
+    const float share = static_cast<float>(record.minor_share) / 255.0F;
+    const bool shows_minor = is_flat ? !is_front : random.next() < share;
+    hit.material = proxy.materials[shows_minor ? record.material_minor : record.material_major];
+    // On the ray's side of all that the leaf holds, so that a lamp does not see itself.
     const float diagonal = glm::length(node.bounds.extent());
-    hit.position_error =
-        std::max(kVoxelMargin, diagonal * static_cast<float>(record.thickness) / 65535.0F);
+    const float thickness = diagonal * static_cast<float>(record.thickness) / 255.0F;
+    hit.position_error = std::max(kVoxelMargin, 0.5F * thickness);
+    hit.position +=
+        hit.normal_geometric * (facing * (hit.position_error + 2.0F * kPlaneTolerance * diagonal));
     return hit;
   }
 
@@ -105,7 +110,7 @@ class TransportTracer {
   // front.
   [[nodiscard]] static Vec3 normal_at(const Ray& ray, const ProxyRecord& record, const Aabb& bounds,
                                       LeafRandom& random) {
-    const Vec3 mean = decode_normal(record.normal);
+    const Vec3 mean = record_normal(record);
     const bool is_flat = (record.shape & kShapeFlat) != 0;
     const bool is_oriented = (record.shape & kShapeOriented) != 0;
     const float towards = glm::dot(mean, ray.direction);

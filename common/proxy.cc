@@ -25,6 +25,7 @@ constexpr std::size_t kPieceVerticesMax = 9;  // a triangle cut by the six faces
 
 struct Piece {
   std::uint32_t material = 0;
+  bool emits = false;
   std::uint32_t count = 0;
   std::array<Vec3, kPieceVerticesMax> vertices{};
 
@@ -45,8 +46,8 @@ Vec3 area_vector(const Piece& piece) {
 
 // Both parts of a piece beside the plane x[axis] = at. A piece in the plane is wholly below.
 void split_piece(const Piece& piece, int axis, float at, Piece& below, Piece& above) {
-  below = {piece.material, 0, {}};
-  above = {piece.material, 0, {}};
+  below = {piece.material, piece.emits, 0, {}};
+  above = {piece.material, piece.emits, 0, {}};
   bool has_below = false;
   bool has_above = false;
   for (std::uint32_t i = 0; i < piece.count; ++i) {
@@ -90,7 +91,8 @@ std::vector<Piece> pieces_in_cell(const Scene& scene, std::span<const std::uint3
   pieces.reserve(triangles.size());
   for (const std::uint32_t id : triangles) {
     const Triangle& triangle = scene.triangles[id];
-    Piece piece{triangle.material, 0, {}};
+    const bool emits = scene.materials[triangle.material].emission != Vec3(0.0F);
+    Piece piece{triangle.material, emits, 0, {}};
     for (const std::uint32_t vertex : triangle.vertices) { piece.add(scene.positions[vertex]); }
     for (int axis = 0; axis < 3; ++axis) {
       Piece kept;
@@ -108,63 +110,107 @@ std::vector<Piece> pieces_in_cell(const Scene& scene, std::span<const std::uint3
   return pieces;
 }
 
-// ---- the shadow of pieces on a face of their bounds, as a 16 x 16 raster ----
+// ---- the shadow of pieces on a face of their bounds ----
 
-constexpr int kRasterSize = 16;
-
+// Looks along an axis at a face of the bounds with kSize x kSize samples, at the middle of as many
+// squares.
+template <unsigned kSize>
 class Raster {
  public:
-  // Looks along `axis` at the face of `bounds`.
-  Raster(const Aabb& bounds, int axis)
-      : bounds_(bounds), axis_(axis), u_((axis + 1) % 3), v_((axis + 2) % 3) {
-    scale_u_ = static_cast<float>(kRasterSize) / (bounds.high[u_] - bounds.low[u_]);
-    scale_v_ = static_cast<float>(kRasterSize) / (bounds.high[v_] - bounds.low[v_]);
+  // The height over the face of a plane at the samples.
+  struct SeenPlane {
+    float origin = 0.0F;
+    float per_column = 0.0F;
+    float per_row = 0.0F;
+    [[nodiscard]] float at(unsigned column, unsigned row) const {
+      return origin + per_column * static_cast<float>(column) + per_row * static_cast<float>(row);
+    }
+  };
+
+  Raster(const Aabb& bounds, const FlatAxes& axes) : bounds_(bounds), axes_(axes) {
+    const Vec3 extent = bounds.extent();
+    scale_u_ = static_cast<float>(kSize) / extent[axes.u];
+    scale_v_ = static_cast<float>(kSize) / extent[axes.v];
   }
 
-  // Marks the samples, at the middle of the raster's squares, that the piece covers.
-  void add(const Piece& piece) {
-    std::array<float, kPieceVerticesMax> u{};
-    std::array<float, kPieceVerticesMax> v{};
+  // Calls visit(row, columns) for each row where the piece covers samples; bit i: column i.
+  template <class Visit>
+  void for_each_row(const Piece& piece, Visit&& visit) const {
+    Coordinates u{};
+    Coordinates v{};
     float v_low = kInfinity;
     float v_high = -kInfinity;
     for (std::uint32_t i = 0; i < piece.count; ++i) {
-      u[i] = (piece.vertices[i][u_] - bounds_.low[u_]) * scale_u_ - 0.5F;
-      v[i] = (piece.vertices[i][v_] - bounds_.low[v_]) * scale_v_ - 0.5F;
+      u[i] = (piece.vertices[i][axes_.u] - bounds_.low[axes_.u]) * scale_u_ - 0.5F;
+      v[i] = (piece.vertices[i][axes_.v] - bounds_.low[axes_.v]) * scale_v_ - 0.5F;
       v_low = std::min(v_low, v[i]);
       v_high = std::max(v_high, v[i]);
     }
-    const int row_begin = std::max(0, static_cast<int>(std::ceil(std::max(v_low, 0.0F))));
-    for (int row = row_begin; row < kRasterSize && static_cast<float>(row) <= v_high; ++row) {
-      rows_[static_cast<std::size_t>(row)] |= row_bits(piece.count, u, v, static_cast<float>(row));
+    const auto row_begin = static_cast<unsigned>(std::ceil(std::max(v_low, 0.0F)));
+    for (unsigned row = row_begin; row < kSize && static_cast<float>(row) <= v_high; ++row) {
+      const unsigned columns = row_bits(piece.count, u, v, static_cast<float>(row));
+      if (columns != 0) { visit(row, columns); }
     }
+  }
+
+  void add(const Piece& piece) {
+    for_each_row(piece, [this](unsigned row, unsigned columns) { rows_[row] |= columns; });
+  }
+
+  // The sample's place on the face.
+  [[nodiscard]] float u_of(unsigned column) const {
+    return bounds_.low[axes_.u] + (static_cast<float>(column) + 0.5F) / scale_u_;
+  }
+  [[nodiscard]] float v_of(unsigned row) const {
+    return bounds_.low[axes_.v] + (static_cast<float>(row) + 0.5F) / scale_v_;
   }
 
   [[nodiscard]] int covered() const {
     int sum = 0;
-    for (const std::uint32_t row : rows_) { sum += std::popcount(row); }
+    for (const unsigned row : rows_) { sum += std::popcount(row); }
     return sum;
   }
 
-  // How many samples see the plane normal . x = offset inside the bounds. Requires: normal[axis] is
-  // its largest component.
-  [[nodiscard]] int plane_samples(const Vec3& normal, float offset) const {
+  // The covered ones of 8 x 8 squares.
+  [[nodiscard]] std::uint64_t mask() const {
+    std::uint64_t bits = 0;
+    for (unsigned row = 0; row < kSize; ++row) {
+      for (unsigned left = rows_[row]; left != 0; left &= left - 1) {
+        const auto column = static_cast<unsigned>(std::countr_zero(left));
+        bits |= std::uint64_t{1} << flat_bit(column * 8 / kSize, row * 8 / kSize);
+      }
+    }
+    return bits;
+  }
+
+  // How many samples in the mask see the plane inside the bounds.
+  [[nodiscard]] int plane_samples(std::uint64_t mask, const SeenPlane& plane) const {
     int sum = 0;
-    for (int row = 0; row < kRasterSize; ++row) {
-      for (int column = 0; column < kRasterSize; ++column) {
-        const float u = bounds_.low[u_] + (static_cast<float>(column) + 0.5F) / scale_u_;
-        const float v = bounds_.low[v_] + (static_cast<float>(row) + 0.5F) / scale_v_;
-        const float height = (offset - normal[u_] * u - normal[v_] * v) / normal[axis_];
-        sum += height >= bounds_.low[axis_] && height <= bounds_.high[axis_] ? 1 : 0;
+    for (unsigned row = 0; row < kSize; ++row) {
+      for (unsigned column = 0; column < kSize; ++column) {
+        if ((mask >> flat_bit(column * 8 / kSize, row * 8 / kSize) & 1U) == 0) { continue; }
+        const float height = plane.at(column, row);
+        if (height >= bounds_.low[axes_.axis] && height <= bounds_.high[axes_.axis]) { ++sum; }
       }
     }
     return sum;
   }
 
+  // Requires: the plane is not seen edge-on.
+  [[nodiscard]] SeenPlane see(const Vec3& normal, float offset) const {
+    const float reciprocal = 1.0F / normal[axes_.axis];
+    SeenPlane plane;
+    plane.per_column = -normal[axes_.u] * reciprocal / scale_u_;
+    plane.per_row = -normal[axes_.v] * reciprocal / scale_v_;
+    plane.origin = (offset - normal[axes_.u] * u_of(0) - normal[axes_.v] * v_of(0)) * reciprocal;
+    return plane;
+  }
+
  private:
   using Coordinates = std::array<float, kPieceVerticesMax>;
 
-  [[nodiscard]] static std::uint32_t row_bits(std::uint32_t count, const Coordinates& u,
-                                              const Coordinates& v, float row) {
+  [[nodiscard]] static unsigned row_bits(std::uint32_t count, const Coordinates& u,
+                                         const Coordinates& v, float row) {
     float u_low = kInfinity;
     float u_high = -kInfinity;
     for (std::uint32_t i = 0; i < count; ++i) {
@@ -175,25 +221,58 @@ class Raster {
       u_high = std::max(u_high, at);
     }
     const float from = std::ceil(std::max(u_low, 0.0F));
-    const float to = std::floor(std::min(u_high, static_cast<float>(kRasterSize - 1)));
+    const float to = std::floor(std::min(u_high, static_cast<float>(kSize - 1)));
     if (!(from <= to)) { return 0; }
     const auto first = static_cast<unsigned>(from);
     const auto last = static_cast<unsigned>(to);
     return ((2U << last) - 1U) & ~((1U << first) - 1U);
   }
 
-  Aabb bounds_;
-  int axis_;
-  int u_;
-  int v_;
+  const Aabb& bounds_;
+  FlatAxes axes_;
   float scale_u_ = 0.0F;
   float scale_v_ = 0.0F;
-  std::array<std::uint32_t, kRasterSize> rows_{};
+  std::array<unsigned, kSize> rows_{};
 };
 
-std::uint8_t coverage_code(int covered, int of) {
-  if (of <= 0) { return covered > 0 ? 255 : 0; }
-  return static_cast<std::uint8_t>(std::min(255, (covered * 255 + of / 2) / of));
+FlatAxes axes_along(int axis) { return {axis, axis == 2 ? 0 : axis + 1, axis == 0 ? 2 : axis - 1}; }
+
+std::uint8_t code_255(float share) {
+  return static_cast<std::uint8_t>(std::clamp(share, 0.0F, 1.0F) * 255.0F + 0.5F);
+}
+
+// ---- the blocks of a scattered leaf ----
+
+// How many of the 16 columns of blocks along the axis have 0 to 4 occupied ones.
+std::array<int, 5> column_heights(std::uint64_t blocks, int axis) {
+  std::array<int, 16> height{};
+  for (; blocks != 0; blocks &= blocks - 1) {
+    const auto bit = static_cast<unsigned>(std::countr_zero(blocks));
+    const std::array<unsigned, 3> at{bit & 3U, bit >> 2U & 3U, bit >> 4U};
+    const FlatAxes axes = axes_along(axis);
+    ++height[at[static_cast<std::size_t>(axes.u)] * 4 + at[static_cast<std::size_t>(axes.v)]];
+  }
+  std::array<int, 5> count{};
+  for (const int blocks_high : height) { ++count[static_cast<std::size_t>(blocks_high)]; }
+  return count;
+}
+
+// The probability that a block stops a ray along the axis with which the columns' shadow covers
+// `covered` of the face.
+float block_coverage(const std::array<int, 5>& columns, float covered) {
+  float low = 0.0F;
+  float high = 1.0F;
+  for (int i = 0; i < 12; ++i) {
+    const float middle = 0.5F * (low + high);
+    float shadow = 0.0F;
+    float passing = 1.0F;
+    for (std::size_t blocks_high = 0; blocks_high < columns.size(); ++blocks_high) {
+      shadow += static_cast<float>(columns[blocks_high]) * (1.0F - passing) / 16.0F;
+      passing *= 1.0F - middle;
+    }
+    (shadow < covered ? low : high) = middle;
+  }
+  return high;
 }
 
 // ---- summaries ----
@@ -203,6 +282,13 @@ std::uint8_t coverage_code(int covered, int of) {
 constexpr float kFlatThicknessMax = 0.2F;
 constexpr float kFlatAgreementMin = 0.75F;
 
+void store_mask(ProxyRecord& record, std::uint64_t mask) {
+  for (std::uint16_t& part : record.mask) {
+    part = static_cast<std::uint16_t>(mask);
+    mask >>= 16U;
+  }
+}
+
 struct Summary {
   ProxyRecord record{};  // without materials
   std::array<std::uint32_t, 2> materials{};
@@ -211,35 +297,32 @@ struct Summary {
   float error = 0.0F;
 };
 
-int dominant_axis(const Vec3& v) {
-  const Vec3 a = glm::abs(v);
-  return a.x >= a.y ? (a.x >= a.z ? 0 : 2) : (a.y >= a.z ? 1 : 2);
-}
-
 struct Normals {
   Vec3 mean{0.0F};         // unit
   float agreement = 0.0F;  // length of the mean of the unit normals, turned to one side
   bool oriented = false;
   double area = 0.0;
+  double area_emitting = 0.0;
 };
 
 Normals normals_of(std::span<const Piece> pieces) {
+  Normals normals;
   Vec3d projected(0.0);
   Vec3d signed_sum(0.0);
   double area = 0.0;
   for (const Piece& piece : pieces) {
     const Vec3d vector(area_vector(piece));
     area += glm::length(vector);
+    if (piece.emits) { normals.area_emitting += glm::length(vector); }
     projected += glm::abs(vector);
     signed_sum += vector;
   }
-  const int dominant = dominant_axis(Vec3(projected));
+  const int dominant = flat_axes(Vec3(projected)).axis;
   Vec3d turned_sum(0.0);
   for (const Piece& piece : pieces) {
     const Vec3d vector(area_vector(piece));
     turned_sum += vector[dominant] < 0.0 ? -vector : vector;
   }
-  Normals normals;
   normals.area = area;
   const double signed_length = glm::length(signed_sum);
   const double turned_length = glm::length(turned_sum);
@@ -273,36 +356,109 @@ void set_bounds(ProxyRecord& record, const Aabb& tight, const Aabb& cell) {
   }
 }
 
-// The two materials of most area; the first eight that turn up are weighed.
-void set_materials(Summary& summary, std::span<const Piece> pieces) {
-  struct Weight {
-    std::uint32_t material = 0;
-    double area = 0.0;
-  };
-  std::array<Weight, 8> weights{};
-  std::size_t count = 0;
-  for (const Piece& piece : pieces) {
-    const double piece_area = glm::length(Vec3d(area_vector(piece)));
+// How often materials are seen; the first eight that turn up are told apart.
+class SeenMaterials {
+ public:
+  void add(std::uint32_t material) {
     std::size_t i = 0;
-    while (i < count && weights[i].material != piece.material) { ++i; }
-    if (i == weights.size()) { continue; }
-    if (i == count) { weights[count++].material = piece.material; }
-    weights[i].area += piece_area;
+    while (i < count_ && seen_[i].material != material) { ++i; }
+    if (i == seen_.size()) { return; }
+    if (i == count_) { seen_[count_++].material = material; }
+    ++seen_[i].times;
+    ++total_;
   }
-  Weight major = weights[0];
-  Weight minor = weights[0];
-  minor.area = 0.0;
-  for (std::size_t i = 1; i < count; ++i) {
-    if (weights[i].area > major.area) {
-      minor = std::exchange(major, weights[i]);
-    } else if (weights[i].area > minor.area) {
-      minor = weights[i];
+
+  struct Seen {
+    std::uint32_t material = 0;
+    unsigned times = 0;
+  };
+  // The two seen most; the first one's material for both if there is one only.
+  [[nodiscard]] std::array<Seen, 2> most() const {
+    Seen major = seen_[0];
+    Seen minor{seen_[0].material, 0};
+    for (std::size_t i = 1; i < count_; ++i) {
+      if (seen_[i].times > major.times) {
+        minor = std::exchange(major, seen_[i]);
+      } else if (seen_[i].times > minor.times) {
+        minor = seen_[i];
+      }
+    }
+    return {major, minor};
+  }
+  [[nodiscard]] bool empty() const { return count_ == 0; }
+  [[nodiscard]] float share(unsigned times) const {
+    return total_ > 0 ? static_cast<float>(times) / static_cast<float>(total_) : 0.0F;
+  }
+
+ private:
+  std::array<Seen, 8> seen_{};
+  std::size_t count_ = 0;
+  unsigned total_ = 0;
+};
+
+// Which materials are seen of the pieces from both sides along an axis, and the blocks they are in.
+class Look {
+ public:
+  static constexpr unsigned kSize = 8;
+
+  Look(const Aabb& bounds, const FlatAxes& axes)
+      : bounds_(bounds), axes_(axes), raster_(bounds, axes) {
+    low_.fill({kInfinity, 0});
+    high_.fill({-kInfinity, 0});
+    block_scale_ = 4.0F / bounds.extent()[axes.axis];
+  }
+
+  // `normal` of any length.
+  void add(const Piece& piece, const Vec3& normal) {
+    if (normal[axes_.axis] == 0.0F) { return; }
+    const auto plane = raster_.see(normal, glm::dot(normal, piece.vertices[0]));
+    raster_.for_each_row(piece, [&](unsigned row, unsigned columns) {
+      for (; columns != 0; columns &= columns - 1) {
+        const auto column = static_cast<unsigned>(std::countr_zero(columns));
+        const float height = plane.at(column, row);
+        Sample& low = low_[row * kSize + column];
+        Sample& high = high_[row * kSize + column];
+        if (height < low.height) { low = {height, piece.material}; }
+        if (height > high.height) { high = {height, piece.material}; }
+        mark(column / 2, row / 2, height);
+      }
+    });
+  }
+
+  void see_from_below(SeenMaterials& materials) const { see(low_, materials); }
+  void see_from_above(SeenMaterials& materials) const { see(high_, materials); }
+  [[nodiscard]] std::uint64_t blocks() const { return blocks_; }
+
+ private:
+  struct Sample {
+    float height = 0.0F;
+    std::uint32_t material = 0;
+  };
+  using Samples = std::array<Sample, std::size_t{kSize} * kSize>;
+
+  static void see(const Samples& samples, SeenMaterials& materials) {
+    for (const Sample& sample : samples) {
+      if (std::abs(sample.height) < kInfinity) { materials.add(sample.material); }
     }
   }
-  summary.materials = {major.material, minor.material};
-  const double share = minor.area / (major.area + minor.area);
-  summary.record.minor_share = static_cast<std::uint16_t>(share * 65535.0);
-}
+
+  void mark(unsigned u, unsigned v, float height) {
+    std::array<unsigned, 3> at{};
+    at[static_cast<std::size_t>(axes_.u)] = u;
+    at[static_cast<std::size_t>(axes_.v)] = v;
+    at[static_cast<std::size_t>(axes_.axis)] = static_cast<unsigned>(
+        std::clamp((height - bounds_.low[axes_.axis]) * block_scale_, 0.0F, 3.0F));
+    blocks_ |= std::uint64_t{1} << block_bit(at[0], at[1], at[2]);
+  }
+
+  const Aabb& bounds_;
+  FlatAxes axes_;
+  Raster<kSize> raster_;
+  Samples low_;
+  Samples high_;
+  float block_scale_ = 0.0F;
+  std::uint64_t blocks_ = 0;
+};
 
 // The mean distance of the pieces along the normal, and the range of their vertices.
 struct Spread {
@@ -342,51 +498,107 @@ PlaneRange plane_range(const Vec3& normal, const Aabb& bounds) {
   return {middle - half, middle + half};
 }
 
+// Weights in a record's error of what it guesses about materials; most of all, whether a surface is
+// the lamp or what the lamp hangs from, as rays to the lamp make up a good part of all rays.
+constexpr float kMaterialWeight = 0.5F;
+constexpr float kLampWeight = 4.0F;
+
+// Each returns what the record cannot tell.
+float set_flat(Summary& summary, std::span<const Piece> pieces, const Spread& spread,
+               const Aabb& bounds) {
+  ProxyRecord& record = summary.record;
+  const Vec3 normal = record_normal(record);
+  const PlaneRange range = plane_range(normal, bounds);
+  const float at = (spread.mean - range.low) / (range.high - range.low);
+  record.shape |= kShapeFlat;
+  record.plane_offset = static_cast<std::uint16_t>(std::clamp(at, 0.0F, 1.0F) * 65535.0F + 0.5F);
+  const float thickness = spread.range / glm::length(bounds.extent());
+  // Rounded up, as rays must clear all of it; but what is flat up to rounding stays so.
+  record.thickness =
+      static_cast<std::uint8_t>(std::ceil(std::min(thickness, 1.0F) * 255.0F - 0.05F));
+
+  const FlatAxes axes = flat_axes(normal);
+  Raster<16> raster(bounds, axes);
+  Look look(bounds, axes);
+  for (const Piece& piece : pieces) {
+    raster.add(piece);
+    look.add(piece, area_vector(piece));
+  }
+  const std::uint64_t mask = raster.mask();
+  store_mask(record, mask);
+  const int samples =
+      raster.plane_samples(mask, raster.see(normal, record_plane_offset(record, normal, bounds)));
+  const float covered =
+      samples > 0 ? static_cast<float>(raster.covered()) / static_cast<float>(samples) : 0.0F;
+  record.coverage[0] = code_255(covered);
+
+  SeenMaterials above;
+  SeenMaterials below;
+  look.see_from_above(above);
+  look.see_from_below(below);
+  const bool is_up = normal[axes.axis] > 0.0F;
+  const auto front = (is_up ? above : below).most();
+  const auto back = (is_up ? below : above).most();
+  if (!above.empty()) { summary.materials = {front[0].material, back[0].material}; }
+  const float squares = static_cast<float>(std::popcount(mask)) / 64.0F;
+  return thickness + squares * std::max(0.0F, covered * (1.0F - covered)) +
+         kMaterialWeight * (above.share(front[1].times) + below.share(back[1].times));
+}
+
+float set_scattered(Summary& summary, std::span<const Piece> pieces, const Aabb& bounds) {
+  ProxyRecord& record = summary.record;
+  std::array<Look, 3> looks{Look(bounds, axes_along(0)), Look(bounds, axes_along(1)),
+                            Look(bounds, axes_along(2))};
+  std::array<Raster<16>, 3> rasters{Raster<16>(bounds, axes_along(0)),
+                                    Raster<16>(bounds, axes_along(1)),
+                                    Raster<16>(bounds, axes_along(2))};
+  for (const Piece& piece : pieces) {
+    const Vec3 normal = area_vector(piece);
+    for (Look& look : looks) { look.add(piece, normal); }
+    for (Raster<16>& raster : rasters) { raster.add(piece); }
+  }
+  const std::uint64_t blocks = looks[0].blocks() | looks[1].blocks() | looks[2].blocks();
+  store_mask(record, blocks);
+  SeenMaterials materials;
+  float unknown = 0.0F;
+  for (int axis = 0; axis < 3; ++axis) {
+    const auto i = static_cast<std::size_t>(axis);
+    looks[i].see_from_above(materials);
+    looks[i].see_from_below(materials);
+    const std::array<int, 5> columns = column_heights(blocks, axis);
+    const float stopped =
+        block_coverage(columns, static_cast<float>(rasters[i].covered()) / 256.0F);
+    record.coverage[i] = code_255(stopped);
+    const float occupied = static_cast<float>(16 - columns[0]) / 16.0F;
+    unknown += occupied * (0.25F + stopped * (1.0F - stopped)) / 3.0F;
+  }
+  const auto most = materials.most();
+  if (!materials.empty()) { summary.materials = {most[0].material, most[1].material}; }
+  record.minor_share = code_255(static_cast<float>(most[1].times) /
+                                static_cast<float>(std::max(1U, most[0].times + most[1].times)));
+  return unknown + kMaterialWeight * materials.share(most[1].times);
+}
+
 Summary summarise(std::span<const Piece> pieces, const Aabb& cell) {
   Summary summary;
   ProxyRecord& record = summary.record;
   if (pieces.empty()) { return summary; }
   const Aabb tight = bounds_of(pieces);
   set_bounds(record, tight, cell);
-  set_materials(summary, pieces);
+  summary.materials = {pieces[0].material, pieces[0].material};
   const Aabb bounds = record_bounds(record, cell);
   const Normals normals = normals_of(pieces);
-  record.normal = encode_normal(normals.mean);
+  const std::uint32_t code = encode_normal(normals.mean);
+  record.normal = {static_cast<std::uint16_t>(code), static_cast<std::uint16_t>(code >> 16U)};
   record.shape = normals.oriented ? kShapeOriented : 0;
 
-  const Vec3 normal = decode_normal(record.normal);
-  const Spread spread = spread_along(normal, pieces);
-  const float diagonal = glm::length(tight.extent());
-  const float thickness = spread.range / diagonal;
-  float unknown = 0.0F;
-  if (thickness <= kFlatThicknessMax && normals.agreement >= kFlatAgreementMin) {
-    record.shape |= kShapeFlat;
-    const PlaneRange range = plane_range(normal, bounds);
-    const float at = (spread.mean - range.low) / (range.high - range.low);
-    record.plane_offset = static_cast<std::uint16_t>(std::clamp(at, 0.0F, 1.0F) * 65535.0F + 0.5F);
-    record.thickness = static_cast<std::uint16_t>(
-        std::min(1.0F, spread.range / glm::length(bounds.extent())) * 65535.0F);
-    const int axis = dominant_axis(normal);
-    Raster raster(bounds, axis);
-    for (const Piece& piece : pieces) { raster.add(piece); }
-    record.coverage[0] =
-        coverage_code(raster.covered(),
-                      raster.plane_samples(normal, record_plane_offset(record, normal, bounds)));
-    const float covered = static_cast<float>(record.coverage[0]) / 255.0F;
-    unknown = thickness + covered * (1.0F - covered);
-  } else {
-    unknown = 0.5F;
-    for (int axis = 0; axis < 3; ++axis) {
-      Raster raster(bounds, axis);
-      for (const Piece& piece : pieces) { raster.add(piece); }
-      const std::uint8_t code = coverage_code(raster.covered(), kRasterSize * kRasterSize);
-      record.coverage[static_cast<std::size_t>(axis)] = code;
-      const float covered = static_cast<float>(code) / 255.0F;
-      unknown += covered * (1.0F - covered) / 1.5F;
-    }
-  }
-  unknown += 0.1F * static_cast<float>(record.minor_share) / 32768.0F;
-  summary.error = half_surface(tight) * unknown;
+  const Spread spread = spread_along(record_normal(record), pieces);
+  const bool is_flat = spread.range <= kFlatThicknessMax * glm::length(tight.extent()) &&
+                       normals.agreement >= kFlatAgreementMin;
+  const float unknown =
+      is_flat ? set_flat(summary, pieces, spread, bounds) : set_scattered(summary, pieces, bounds);
+  const auto lamps = static_cast<float>(normals.area_emitting / normals.area);
+  summary.error = half_surface(tight) * (unknown + kLampWeight * lamps * (1.0F - lamps));
   return summary;
 }
 
@@ -395,6 +607,10 @@ Summary summarise(std::span<const Piece> pieces, const Aabb& cell) {
 constexpr std::uint32_t kNeverSplit = 0xFFFFFFFF;
 // Rays that meet less than this of the scene's unit surface are too few to tell apart.
 constexpr float kErrorMin = 2e-7F;
+
+// So many rays meet this that a voxel of few triangles, the edge of a room, is split for them too.
+constexpr float kErrorLarge = 1e-4F;
+constexpr std::size_t kLeavesMax = 256;
 
 struct BuildNode {
   Summary summary{};
@@ -424,7 +640,10 @@ class VoxelTreeBuilder {
     push({0, 0, tree_.cell, std::move(pieces)});
     std::size_t leaf_count = 1;
     float error = kInfinity;
-    while (!open_.empty() && leaf_count < leaf_count_max) {
+    while (!open_.empty()) {
+      const float error_next = tree_.nodes[open_.front().node].summary.error;
+      const std::size_t max = error_next > kErrorLarge ? kLeavesMax : leaf_count_max;
+      if (leaf_count >= max) { break; }
       std::pop_heap(open_.begin(), open_.end(), later_);
       const Open open = std::move(open_.back());
       open_.pop_back();
@@ -486,10 +705,29 @@ class VoxelTreeBuilder {
 
   static void distribute(const Piece& piece, const Vec3& middle,
                          std::array<std::vector<Piece>, 8>& parts) {
-    std::array<Piece, 8> cut;
-    cut[0] = piece;
+    unsigned above = 0;  // bit per axis
+    unsigned cut_axes = 0;
     for (unsigned axis = 0; axis < 3; ++axis) {
-      for (unsigned octant = 0; octant < (1U << axis); ++octant) {
+      const int i = static_cast<int>(axis);
+      bool has_below = false;
+      bool has_above = false;
+      for (std::uint32_t vertex = 0; vertex < piece.count; ++vertex) {
+        has_below |= piece.vertices[vertex][i] < middle[i];
+        has_above |= piece.vertices[vertex][i] > middle[i];
+      }
+      if (has_above && has_below) { cut_axes |= 1U << axis; }
+      if (has_above && !has_below) { above |= 1U << axis; }
+    }
+    if (cut_axes == 0) {
+      parts[above].push_back(piece);
+      return;
+    }
+    std::array<Piece, 8> cut;
+    cut[above] = piece;
+    for (unsigned axis = 0; axis < 3; ++axis) {
+      if ((cut_axes >> axis & 1U) == 0) { continue; }
+      for (unsigned octant = 0; octant < 8; ++octant) {
+        if ((octant >> axis & 1U) != 0 || cut[octant].count == 0) { continue; }
         const Piece whole = cut[octant];
         split_piece(whole, static_cast<int>(axis), middle[static_cast<int>(axis)], cut[octant],
                     cut[octant | (1U << axis)]);
@@ -510,8 +748,8 @@ class VoxelTreeBuilder {
 // ---- the cut through all trees that the budget allows ----
 
 // At most a record for so many triangles while splitting; the cut across voxels takes its pick.
-constexpr std::size_t kTrianglesPerLeafMin = 3;
-constexpr std::size_t kLeavesPerVoxelFree = 64;
+constexpr std::size_t kTrianglesPerLeafMin = 5;
+constexpr std::size_t kLeavesPerVoxelFree = 12;
 constexpr std::uint64_t kDirectoryBytesPerVoxel = 96;
 
 using CellBytes = std::array<float, 6>;  // low, high
@@ -800,6 +1038,23 @@ Aabb record_bounds(const ProxyRecord& record, const Aabb& cell) {
     }
   }
   return bounds;
+}
+
+Vec3 record_normal(const ProxyRecord& record) {
+  return decode_normal(record.normal[0] | static_cast<std::uint32_t>(record.normal[1]) << 16U);
+}
+
+std::uint64_t record_mask(const ProxyRecord& record) {
+  std::uint64_t mask = 0;
+  for (std::size_t part = record.mask.size(); part-- > 0;) {
+    mask = mask << 16U | record.mask[part];
+  }
+  return mask;
+}
+
+FlatAxes flat_axes(const Vec3& normal) {
+  const Vec3 a = glm::abs(normal);
+  return axes_along(a.x >= a.y ? (a.x >= a.z ? 0 : 2) : (a.y >= a.z ? 1 : 2));
 }
 
 float record_plane_offset(const ProxyRecord& record, const Vec3& normal, const Aabb& bounds) {

@@ -26,32 +26,52 @@ inline constexpr double kProxyShareMax = 0.095;
 inline constexpr unsigned kProxyDepthMax = 24;                 // levels below a voxel
 inline constexpr float kProxyExtentMin = 2.0F * kVoxelMargin;  // of a leaf's bounds along an axis
 
-// The geometry inside one cell, as stored: 24 bytes, little-endian.
+// The geometry inside one cell, as stored, little-endian.
 //
 // A *flat* leaf holds geometry near one plane: a ray that crosses the plane inside the bounds stops
-// there with probability coverage[0]. For convex planar pieces, which real scenes mostly hold, this
-// is exact, where the ratio of projected areas, sum_k |d_k| A_k * chord / volume, stops too few of
-// the rays whose chord is long (it is cut at 1) and lets their reflections begin inside the cell.
+// there with probability coverage[0] where the mask has geometry. For convex planar pieces, which
+// real scenes mostly hold, this is exact, where the ratio of projected areas,
+// sum_k |d_k| A_k * chord / volume, stops too few of the rays whose chord is long (it is cut at 1)
+// and lets their reflections begin inside the cell.
 //
-// Any other leaf is *scattered*. coverage[k] is the share of the bounds' face across axis k that
-// the geometry's shadow along k covers; a union, so that layers do not count twice. A chord of
-// length l in direction d passes with probability exp(-l * sum_k |d_k| * -ln(1 - coverage[k]) /
-// extent[k]): straight along an axis that is 1 - coverage[k].
+// Any other leaf is *scattered* over the occupied ones of 4 x 4 x 4 blocks of its bounds. A ray
+// straight along axis k passes an occupied block with probability 1 - coverage[k], so that the
+// geometry's shadow along k is as large as the true one, a union, in which layers do not count
+// twice. A chord of length l in direction d through occupied blocks of extent e passes with
+// probability exp(-l * sum_k |d_k| * -ln(1 - coverage[k]) / e_k).
 struct ProxyRecord {
-  std::uint32_t normal = 0;           // encode_normal of the mean by area
+  std::array<std::uint16_t, 2> normal{};  // encode_normal of the mean by area, low half first
+  std::array<std::uint16_t, 4> mask{};    // flat: 8 x 8 squares of the face that the plane's normal
+                                          // sees most of; scattered: 4 x 4 x 4 blocks. Bit of
+                                          // (x, y, z): see flat_bit and block_bit
+  std::uint16_t plane_offset = 0;         // 65535ths of the range of normal . x over the bounds
+  std::uint16_t material_major = 0;   // into Proxy::materials. Flat: what the normal's side shows
+  std::uint16_t material_minor = 0;   // most, and the other side; scattered: the two seen most
   std::array<std::uint8_t, 3> low{};  // bounds in 255ths of the cell, rounded outwards
   std::array<std::uint8_t, 3> high{};
   std::array<std::uint8_t, 3> coverage{};  // 255ths
-  std::uint8_t shape = 0;                  // kShape* bits
-  std::uint16_t plane_offset = 0;          // 65535ths of the range of normal . x over the bounds
-  std::uint16_t thickness = 0;       // of a flat leaf across its plane, 65535ths of the diagonal
-  std::uint16_t minor_share = 0;     // of the area, 65535ths, at most half
-  std::uint16_t material_major = 0;  // into Proxy::materials: the material of most area
-  std::uint16_t material_minor = 0;  // and the next
+  std::uint8_t minor_share = 0;            // scattered: how often it is seen of both, 255ths
+  std::uint8_t thickness = 0;  // of a flat leaf across its plane, 255ths of the diagonal
+  std::uint8_t shape = 0;      // kShape* bits
 };
 inline constexpr std::uint8_t kShapeFlat = 1;
 inline constexpr std::uint8_t kShapeOriented = 2;  // the normals agree on a side
-static_assert(sizeof(ProxyRecord) == 24);
+static_assert(sizeof(ProxyRecord) == 30);
+
+[[nodiscard]] constexpr unsigned flat_bit(unsigned u, unsigned v) { return v * 8 + u; }
+[[nodiscard]] constexpr unsigned block_bit(unsigned x, unsigned y, unsigned z) {
+  return (z * 4 + y) * 4 + x;
+}
+[[nodiscard]] Vec3 record_normal(const ProxyRecord& record);
+[[nodiscard]] std::uint64_t record_mask(const ProxyRecord& record);
+
+// The axis along which a flat record's mask looks, and the axes of its columns and rows.
+struct FlatAxes {
+  int axis = 0;
+  int u = 1;
+  int v = 2;
+};
+[[nodiscard]] FlatAxes flat_axes(const Vec3& normal);
 
 // Where the record's geometry lies, in the scene frame.
 [[nodiscard]] Aabb record_bounds(const ProxyRecord& record, const Aabb& cell);

@@ -1,21 +1,26 @@
 // What the parts cost: the octree, the compiled store, prediction, and rays per second of one
-// process with everything resident. `./dev bench` prints the table and writes out/bench.json.
+// process with everything resident, beside Embree alone over the same rays. `./dev bench` prints
+// the table and writes out/bench.json. PREHEAT_BENCH_STORE names another store than the demo's.
 #include <benchmark/benchmark.h>
 #include <spdlog/spdlog.h>
 
 #include <atomic>
 #include <cstdlib>
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <thread>
+#include <vector>
 
 #include "cache/prediction.h"
+#include "cache/tracing.h"
 #include "common/check.h"
 #include "common/octree.h"
 #include "master/compiler.h"
 #include "master/demo_scene.h"
 #include "master/local_render.h"
 #include "master/view.h"
+#include "tests/bench/bare_embree.h"
 
 namespace preheat {
 namespace {
@@ -49,10 +54,114 @@ class DemoStore {
   Store store_{};
 };
 
-const Store& demo_store() {
+const Store& bench_store() {
+  if (const char* const file = std::getenv("PREHEAT_BENCH_STORE")) {
+    static const Store named = Store::open(file).value();
+    return named;
+  }
   static const DemoStore store;
   return store.store();
 }
+
+RenderSettings small_view(const Store& store) {
+  ViewOptions view;
+  view.size = {256, 256};
+  view.spp = 4;
+  return resolve_view(store.tables(), store.cameras(), view)->settings;
+}
+
+std::vector<VoxelId> every_voxel(const Store& store) {
+  std::vector<VoxelId> voxels;
+  for (std::uint32_t voxel = 0; voxel < store.tables().voxels.size(); ++voxel) {
+    voxels.push_back(VoxelId{voxel});
+  }
+  return voxels;
+}
+
+// The whole scene as the hot set, and every ray that the small view traces, in the order of
+// tracing.
+class HotScene {
+ public:
+  explicit HotScene(const Store& store)
+      : hot_(store.tables(), every_voxel(store)), resident_(store.tables().voxels.size(), 1) {
+    for (const VoxelId voxel : every_voxel(store)) {
+      hot_.add(view_voxel_block(store.block(voxel), store.tables().materials.size()).value());
+    }
+    residency_.emplace(device_, hot_, store.tables(), std::vector<VoxelId>{}, resident_);
+    bare_.emplace(hot_.arrays());
+    record_rays(store);
+  }
+
+  [[nodiscard]] const std::vector<TracedRay>& rays() const { return rays_; }
+  [[nodiscard]] const BareEmbree& bare() const { return *bare_; }
+
+  // Hits, so that nothing is optimised away.
+  std::size_t trace_all() {
+    const ResidentTable::Guard guard(resident_, 0);
+    std::size_t hits = 0;
+    for (const TracedRay& ray : rays_) {
+      RayQuery query;
+      query.ray = ray.ray;
+      query.any_hit = ray.any_hit;
+      residency_->trace(query);
+      hits += query.blocked || query.has_hit() ? 1U : 0U;
+    }
+    return hits;
+  }
+
+ private:
+  void record_rays(const Store& store) {
+    const RenderSettings settings = small_view(store);
+    const Shading shading(store.tables(), settings);
+    const ResidentTable::Guard guard(resident_, 0);
+    for (std::uint32_t pixel = 0; pixel < settings.width * settings.height; ++pixel) {
+      for (std::uint32_t sample = 0; sample < settings.spp; ++sample) {
+        PathState path;
+        ShadedVertex vertex;
+        vertex.scatter = shading.start_path(pixel, sample, path);
+        vertex.has_scatter_ray = true;
+        while (vertex.has_scatter_ray) {
+          RayQuery query;
+          query.ray = vertex.scatter;
+          rays_.push_back({query.ray, false});
+          residency_->trace(query);
+          if (!query.has_hit()) { break; }
+          vertex = shading.shade_hit(query.ray, query.surface, path);
+          if (vertex.has_shadow_ray) { rays_.push_back({vertex.shadow, true}); }
+        }
+      }
+    }
+  }
+
+  TracingDevice device_{2};
+  HotMesh hot_;
+  ResidentTable resident_;
+  std::optional<Residency> residency_;
+  std::optional<BareEmbree> bare_;
+  std::vector<TracedRay> rays_;
+};
+
+HotScene& hot_scene() {
+  static HotScene scene(bench_store());
+  return scene;
+}
+
+// One thread, one closest- or any-hit query at a time: the yardstick for the next two.
+void bare_embree(benchmark::State& state) {
+  HotScene& scene = hot_scene();
+  for (auto _ : state) { benchmark::DoNotOptimize(scene.bare().trace_all(scene.rays())); }
+  state.SetItemsProcessed(state.iterations() * static_cast<std::int64_t>(scene.rays().size()));
+}
+BENCHMARK(bare_embree)->Unit(benchmark::kMillisecond);
+
+// The same rays through the hot BVH: with the filter that makes bits independent of the layout and
+// with the surface that shading needs.
+void hot_bvh(benchmark::State& state) {
+  HotScene& scene = hot_scene();
+  for (auto _ : state) { benchmark::DoNotOptimize(scene.trace_all()); }
+  state.SetItemsProcessed(state.iterations() * static_cast<std::int64_t>(scene.rays().size()));
+}
+BENCHMARK(hot_bvh)->Unit(benchmark::kMillisecond);
 
 void triangles_per_second(benchmark::State& state) {
   state.SetItemsProcessed(state.iterations() * static_cast<std::int64_t>(demo().triangles.size()));
@@ -77,7 +186,7 @@ void compile(benchmark::State& state) {
 BENCHMARK(compile)->Unit(benchmark::kMillisecond)->UseRealTime()->Iterations(1);
 
 void prediction(benchmark::State& state, const std::string& model) {
-  const Store& store = demo_store();
+  const Store& store = bench_store();
   const ResolvedView view = resolve_view(store.tables(), store.cameras(), {}).value();
   double rays = 0.0;
   for (auto _ : state) {
@@ -96,11 +205,8 @@ BENCHMARK_CAPTURE(prediction, uniform, std::string("uniform"))
 
 // Seconds are those of tracing alone, without building the BVH.
 void local_render(benchmark::State& state) {
-  const Store& store = demo_store();
-  ViewOptions view;
-  view.size = {256, 256};
-  view.spp = 4;
-  const RenderSettings settings = resolve_view(store.tables(), store.cameras(), view)->settings;
+  const Store& store = bench_store();
+  const RenderSettings settings = small_view(store);
   const std::atomic<int> no_signal{0};
   double rays = 0.0;
   for (auto _ : state) {
