@@ -3,6 +3,7 @@
 // Only the steady clock; the wall clock is printed, never compared.
 #pragma once
 
+#include <algorithm>
 #include <chrono>
 #include <cstdlib>
 
@@ -53,6 +54,8 @@ struct Timers {
           &timers.kill_grace, &timers.waiting_notice}) {
       *duration = shorter(*duration);
     }
+    // A busy machine lets a process wait so long without being stopped.
+    timers.tick_gap = std::max<Duration>(timers.tick_gap, std::chrono::milliseconds(500));
     return timers;
   }
 };
