@@ -10,7 +10,7 @@
 namespace preheat {
 
 inline constexpr std::uint64_t kDemoTrianglesDefault = 1'000'000;
-inline constexpr std::uint64_t kDemoTrianglesMin = 50'000;
+inline constexpr std::uint64_t kDemoTrianglesMin = 200'000;
 inline constexpr std::uint64_t kDemoTrianglesMax = 100'000'000;
 // Part of the compiled scene's name: counts the scenes that this code has been.
 inline constexpr std::uint32_t kDemoVersion = 1;
