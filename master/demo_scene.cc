@@ -910,7 +910,7 @@ void DemoRoom::rug() {
   const std::size_t used = builder_.triangle_count();
   const std::size_t left =
       triangles_target_ > used ? static_cast<std::size_t>(triangles_target_) - used : 0;
-  const std::size_t blades = std::max(left / 3, many(20000));
+  const std::size_t blades = std::max(left / 3, many(5000));
   const double spacing = std::sqrt(4.0 * kHalfX * kHalfZ / static_cast<double>(blades));
   const auto columns = static_cast<std::size_t>(2.0 * kHalfX / spacing);
   for (std::size_t blade = 0; blade < blades; ++blade) {

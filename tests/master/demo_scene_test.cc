@@ -33,7 +33,14 @@ TEST_P(DemoScene, HasAboutTheTrianglesAskedForAndIsWellFormed) {
   EXPECT_FALSE(scene.cameras.empty());
 }
 
-INSTANTIATE_TEST_SUITE_P(Sizes, DemoScene, ::testing::Values(200'000U, 1'000'000U, 3'000'000U));
+INSTANTIATE_TEST_SUITE_P(Sizes, DemoScene, ::testing::Values(250'000U, 1'000'000U, 3'000'000U));
+
+TEST(DemoSceneContent, TheSmallestIsStillARoom) {
+  const Scene scene = make_demo_scene(kDemoTrianglesMin);
+
+  EXPECT_GT(scene.triangles.size(), kDemoTrianglesMin);
+  EXPECT_LT(scene.triangles.size(), 2 * kDemoTrianglesMin);
+}
 
 TEST(DemoSceneContent, IsTheSameEveryTime) {
   const Scene first = make_demo_scene(200'000);
