@@ -24,6 +24,7 @@ class DemoRoom {
       : scene_(scene),
         triangles_target_(triangles_target),
         amount_(static_cast<double>(triangles_target) / 1e6),
+        coarse_(std::sqrt(std::max(1.0, 0.3 / amount_))),
         builder_(scene, std::sqrt(amount_)) {}
 
   void furnish();
@@ -70,6 +71,8 @@ class DemoRoom {
   Scene& scene_;
   std::uint64_t triangles_target_;
   double amount_;
+  double coarse_;  // how many times larger the many small things are, where few triangles are asked
+                   // for
   DemoBuilder builder_;
   DemoRandom random_{20260101};
 
@@ -223,8 +226,8 @@ void DemoRoom::shell() {
 
 // Herringbone: blocks of 4 : 1 laid at right angles, each a bevelled block of its own.
 void DemoRoom::parquet() {
-  constexpr double kLong = 0.44;
-  constexpr double kShort = 0.11;
+  const double width = 0.11 * coarse_;
+  const double length = 4.0 * width;
   constexpr double kGap = 0.0012;
   const auto plank = [&](double x, double z, double size_x, double size_z) {
     if (x + size_x < 0.0 || z + size_z < 0.0 || x > kWidth || z > kDepth) { return; }
@@ -233,12 +236,12 @@ void DemoRoom::parquet() {
                  {x + size_x - kGap, top, z + size_z - kGap},
                  planks_[random_.below(planks_.size())]);
   };
-  for (int row = -4; row < 52; ++row) {
-    for (int column = -1; column < 15; ++column) {
-      const double x = column * 2.0 * kLong - row * kShort;
-      const double z = row * kShort;
-      plank(x, z, kLong, kShort);
-      plank(x + kLong, z, kShort, kLong);
+  for (int row = -4; row * width < kDepth; ++row) {
+    for (int column = -1; column * 2.0 * length < 2.5 * kWidth; ++column) {
+      const double x = column * 2.0 * length - row * width;
+      const double z = row * width;
+      plank(x, z, length, width);
+      plank(x + length, z, width, length);
     }
   }
 }
@@ -323,7 +326,7 @@ void DemoRoom::book(const Placement& place, double thickness, double height, dou
 void DemoRoom::book_row(double x_begin, double x_end, double shelf_height) {
   double x = x_begin;
   while (x < x_end) {
-    const double thickness = random_.between(0.014, 0.05);
+    const double thickness = random_.between(0.014, 0.05) * coarse_;
     const double height = random_.between(0.19, 0.285);
     const double depth = random_.between(0.15, 0.21);
     if (x + thickness > x_end) { break; }
@@ -840,6 +843,7 @@ void DemoRoom::leafy_plant(const Vec3d& foot, double height, std::size_t leaves,
 
 void DemoRoom::fern(const Vec3d& foot, std::size_t fronds, std::uint64_t seed) {
   DemoRandom random(seed);
+  fronds = static_cast<std::size_t>(static_cast<double>(fronds) / coarse_);
   for (std::size_t frond = 0; frond < fronds; ++frond) {
     const double turns =
         static_cast<double>(frond) / static_cast<double>(fronds) + random.between(-0.04, 0.04);
@@ -906,7 +910,7 @@ void DemoRoom::rug() {
   const std::size_t used = builder_.triangle_count();
   const std::size_t left =
       triangles_target_ > used ? static_cast<std::size_t>(triangles_target_) - used : 0;
-  const std::size_t blades = std::max(left / 3, many(20000));
+  const std::size_t blades = std::max(left / 3, many(5000));
   const double spacing = std::sqrt(4.0 * kHalfX * kHalfZ / static_cast<double>(blades));
   const auto columns = static_cast<std::size_t>(2.0 * kHalfX / spacing);
   for (std::size_t blade = 0; blade < blades; ++blade) {

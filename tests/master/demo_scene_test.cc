@@ -33,11 +33,18 @@ TEST_P(DemoScene, HasAboutTheTrianglesAskedForAndIsWellFormed) {
   EXPECT_FALSE(scene.cameras.empty());
 }
 
-INSTANTIATE_TEST_SUITE_P(Sizes, DemoScene, ::testing::Values(150'000U, 1'000'000U, 3'000'000U));
+INSTANTIATE_TEST_SUITE_P(Sizes, DemoScene, ::testing::Values(250'000U, 1'000'000U, 3'000'000U));
+
+TEST(DemoSceneContent, TheSmallestIsStillARoom) {
+  const Scene scene = make_demo_scene(kDemoTrianglesMin);
+
+  EXPECT_GT(scene.triangles.size(), kDemoTrianglesMin);
+  EXPECT_LT(scene.triangles.size(), 2 * kDemoTrianglesMin);
+}
 
 TEST(DemoSceneContent, IsTheSameEveryTime) {
-  const Scene first = make_demo_scene(100'000);
-  const Scene second = make_demo_scene(100'000);
+  const Scene first = make_demo_scene(200'000);
+  const Scene second = make_demo_scene(200'000);
 
   ASSERT_EQ(first.positions.size(), second.positions.size());
   EXPECT_EQ(std::memcmp(first.positions.data(), second.positions.data(),
@@ -46,7 +53,7 @@ TEST(DemoSceneContent, IsTheSameEveryTime) {
 }
 
 TEST(DemoSceneContent, HasEmittersALampGlassAndMetal) {
-  const Scene scene = make_demo_scene(100'000);
+  const Scene scene = make_demo_scene(200'000);
   const auto any = [&](auto property) {
     return std::any_of(scene.triangles.begin(), scene.triangles.end(),
                        [&](const Triangle& t) { return property(scene.materials[t.material]); });

@@ -112,8 +112,8 @@ TEST_F(SceneSource, AnUnwritableCacheIsAnOutputError) {
 TEST(DemoTriangles, ReadsTheCountBehindTheColon) {
   EXPECT_EQ(demo_triangles("demo").value(), 1'000'000U);
   EXPECT_EQ(demo_triangles("demo:2.5M").value(), 2'500'000U);
-  EXPECT_EQ(demo_triangles("demo:200k").value(), 200'000U);
-  EXPECT_EQ(demo_triangles("demo:60000").value(), 60'000U);
+  EXPECT_EQ(demo_triangles("demo:300k").value(), 300'000U);
+  EXPECT_EQ(demo_triangles("demo:250000").value(), 250'000U);
   EXPECT_EQ(demo_triangles("demonstration.gltf").value(), 0U);
   EXPECT_EQ(demo_triangles("room.gltf").value(), 0U);
   for (const char* scene : {"demo:", "demo:5", "demo:x", "demo:1e30", "demo:-1M", "demo:1Mx"}) {
