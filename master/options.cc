@@ -56,6 +56,17 @@ Result<ImageSize> parse_image_size(const std::string& text) {
   return ImageSize{*width, *height};
 }
 
+Result<std::uint64_t> parse_seed(const std::string& text) {
+  std::uint64_t seed = 0;
+  const char* const end = text.data() + text.size();
+  const auto [rest, error] = std::from_chars(text.data(), end, seed);
+  if (error != std::errc{} || rest != end) {
+    return fail(ExitCode::kUsage,
+                fmt::format("\"{}\" is not a whole number from 0 to 2^64 - 1", text));
+  }
+  return seed;
+}
+
 Result<Vec3d> parse_vector(const std::string& text) {
   Vec3d vector{0.0};
   std::string_view rest = text;
@@ -139,9 +150,9 @@ void add_view_options(CLI::App& app, ViewOptions& view) {
       ->check(in_range(0U, kBouncesMax))
       ->capture_default_str()
       ->group(kGroup);
-  app.add_option("--seed", view.seed, "Another number gives other noise")
+  add_parsed_option(app, "--seed", view.seed, &parse_seed, "Another number gives other noise")
       ->type_name("N")
-      ->capture_default_str()
+      ->default_str("0")
       ->group(kGroup);
   add_parsed_option(app, "--sky", view.sky, &parse_radiance,
                     "Radiance of a constant sky (default: none if the scene has any light, else "
