@@ -29,7 +29,7 @@ using Duration = Clock::duration;
   return value >= 0.01 && value <= 1000.0 ? value : 1.0;
 }
 
-// Every timer of the protocol in one place (RELIABILITY section 2).
+// Every timer of the protocol in one place.
 struct Timers {
   Duration heartbeat = std::chrono::seconds(1);
   Duration suspect = std::chrono::seconds(3);     // silent worker: no new leases

@@ -183,7 +183,7 @@ TEST(Store, ABitFlippedInTheTablesIsFound) {
   EXPECT_GT(flips, 700U);
 }
 
-// RELIABILITY F21. Opening reads no block; its hash finds the flip.
+// Opening reads no block; its hash finds the flip.
 TEST(Store, ABitFlippedInABlockIsFoundByTheBlocksHash) {
   constexpr unsigned kSeed = 17;
   SCOPED_TRACE(kSeed);
