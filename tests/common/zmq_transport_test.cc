@@ -8,8 +8,6 @@
 
 #include <array>
 #include <atomic>
-#include <span>
-#include <thread>
 #include <vector>
 
 #include "common/clock.h"
@@ -31,14 +29,24 @@ std::optional<Received> receive(Transport& transport, Channel& channel) {
   return std::nullopt;
 }
 
-// A client's queue exists once it is connected: until then sending says "full".
-SendOutcome send_when_connected(Channel& client, std::span<const std::byte> head) {
+// A connecting channel takes nothing before its connection stands.
+SendOutcome send_when_connected(Channel& channel, const std::vector<std::byte>& head) {
   const Time end = Clock::now() + std::chrono::seconds(10);
-  for (;;) {
-    const SendOutcome outcome = client.send({}, head, {});
-    if (outcome != SendOutcome::kFull || Clock::now() > end) { return outcome; }
-    std::this_thread::sleep_for(milliseconds(1));
+  SendOutcome outcome = SendOutcome::kFull;
+  while (outcome == SendOutcome::kFull && Clock::now() < end) {
+    outcome = channel.send({}, head, {});
+    ::usleep(1000);
   }
+  return outcome;
+}
+
+TEST(ZmqTransport, TakesNothingForAMasterThatIsNotThere) {
+  const auto transport = make_zmq_transport();
+  const auto client =
+      transport->connect("tcp://127.0.0.1:1", ChannelKind::kControl, random_session());
+  ASSERT_TRUE(client.has_value());
+
+  EXPECT_EQ((*client)->send({}, encode_frame({}, Unknown{}), {}), SendOutcome::kFull);
 }
 
 TEST(ZmqTransport, CarriesHeadAndDataBothWays) {
