@@ -82,6 +82,14 @@ Result<Vec3> parse_radiance(const std::string& text) {
   return radiance;
 }
 
+Result<std::uint64_t> parse_seed(const std::string& text) {
+  std::uint64_t seed = 0;
+  const char* const end = text.data() + text.size();
+  const auto [rest, error] = std::from_chars(text.data(), end, seed);
+  if (error != std::errc{} || rest != end) { return wrong("a whole number in 0..2^64-1", text); }
+  return seed;
+}
+
 Result<double> parse_preload_share(const std::string& text) {
   if (text == "auto") { return -1.0; }
   const std::optional<double> share = number_in(text);
@@ -139,9 +147,9 @@ void add_view_options(CLI::App& app, ViewOptions& view) {
       ->check(in_range(0U, kBouncesMax))
       ->capture_default_str()
       ->group(kGroup);
-  app.add_option("--seed", view.seed, "Another number gives other noise")
+  add_parsed_option(app, "--seed", view.seed, &parse_seed, "Another number gives other noise")
       ->type_name("N")
-      ->capture_default_str()
+      ->default_str("0")
       ->group(kGroup);
   add_parsed_option(app, "--sky", view.sky, &parse_radiance,
                     "Radiance of a constant sky (default: none if the scene has any light, else "
