@@ -1,15 +1,20 @@
 // One tracer's paths, advanced in batches: trace, shade, park where a voxel is missing, go on when
 // it has come. Owns its tiles from first sample to last; shares nothing but the residency.
 //
-//   add_tile -> fresh paths -> [runnable rays] -> trace --final--> join -> shade -> runnable rays
-//                                   ^               |                        '-> samples ->
-//                                   finished tile |               v waiting
-//                            voxel_available <- [parked rays by voxel] -> demands
+//   add_tile -> fresh paths -> [runnable rays] -> trace --final--> both done -> shade --.
+//                                  ^                |                                   |
+//                                  |                '--waiting--> [parked, by voxel]    |
+//                                  |                                     |              |
+//                                  |<------- voxel_available ------------'              |
+//                                  '--------------- new rays ---------------------------|
+//                                              samples -> finished tile <---------------'
 //
 // Rays run last-in first-out, so that a path stays in the processor's cache until it ends or parks,
 // and new paths start only when nothing else can run. Both rays of a vertex may be in flight at
 // once; the next vertex is shaded when both are done, so radiance is summed in path order whatever
-// arrived first. Threads: one thread at a time calls every member; no clock, no lock, no socket.
+// arrived first.
+//
+// Threads: one thread at a time calls every member; no clock, no lock, no socket.
 #pragma once
 
 #include <cstdint>

@@ -1,15 +1,15 @@
 // Embree behind one file: meshes of voxels, the hot BVH with boxes for the rest, and ray queries.
 //
-// One scene holds the hot set as one triangle geometry and every cold voxel as a user-geometry box
-// (DESIGN section 6). A query meets a cold voxel in a callback: if it is resident its own BVH is
-// queried there, otherwise the ray notes (voxel, entry distance) and goes on.
+// One scene holds the hot set as one triangle geometry and every cold voxel as a user-geometry box.
+// A query meets a cold voxel in a callback: if it is resident its own BVH is queried there,
+// otherwise the ray notes (voxel, entry distance) and goes on.
 //
 // The nearest hit is the lowest (t, global triangle id) among all candidates. Embree alone does not
 // give that: it keeps whichever of two equal hits it met first, and may skip a triangle whose box
 // begins a rounding error behind the best hit. So an intersection filter keeps tfar a little behind
 // the best t (widened), compares (t, id) itself and remembers the best; and a hit is final only if
 // it lies clearly before every noted entry. Only then are bits independent of the layout.
-// Bits also depend on ISA, ROBUST and query width: all three are fixed here (ECOSYSTEM: Embree).
+// Bits also depend on ISA, ROBUST and query width: all three are fixed here.
 #pragma once
 
 #include <array>
@@ -149,8 +149,8 @@ class Residency {
   std::unique_ptr<Impl> impl_;
 };
 
-// Calls visit(voxel) for every voxel whose bounds the ray enters before t_end: the ray's accesses
-// (DESIGN section 2). A walk of its own, as the hot BVH has no callbacks.
+// Calls visit(voxel) for every voxel whose bounds the ray enters before t_end: the ray's accesses.
+// A walk of its own, as the hot BVH has no callbacks.
 template <class Visit>
 void for_each_access(const SceneTables& tables, const Ray& ray, float t_end, Visit&& visit) {
   if (tables.voxel_nodes.empty()) { return; }

@@ -1,4 +1,4 @@
-// Expected transport through the proxy (DESIGN section 5).
+// Expected transport through the proxy.
 //
 // A few thousand light paths, spread evenly over the image, are traced with the renderer's own
 // shading against the proxy's leaves instead of triangles; each ray credits the voxels that it is

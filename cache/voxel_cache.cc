@@ -6,6 +6,11 @@
 #include "common/check.h"
 
 namespace preheat {
+namespace {
+
+constexpr VoxelId kNoVoxel{UINT32_MAX};
+
+}  // namespace
 
 VoxelCache::VoxelCache(std::span<const VoxelEntry> voxels, std::uint64_t limit_bytes,
                        std::function<std::uint64_t(VoxelId)> last_used)
@@ -54,8 +59,7 @@ bool VoxelCache::block_arrived(VoxelId voxel) {
 void VoxelCache::built(VoxelId voxel, std::uint64_t bvh_bytes) {
   Slot& slot = slots_[index_of(voxel)];
   CHECK(slot.state == State::kBuilding);
-  CHECK(bvh_bytes <= slot.bvh_bytes);
-  promised_bytes_ -= slot.bvh_bytes - bvh_bytes;
+  promised_bytes_ = promised_bytes_ - slot.bvh_bytes + bvh_bytes;
   slot.bvh_bytes = bvh_bytes;
   slot.state = State::kBuilt;
   hold(bvh_bytes);
@@ -125,6 +129,7 @@ std::vector<VoxelCache::Command> VoxelCache::step() {
       commands.push_back({Action::kBuild, voxel});
     }
   }
+  if (promised_bytes_ > limit_bytes_) { static_cast<void>(make_room(kNoVoxel, 0, commands)); }
   std::erase_if(wanted_, [this](VoxelId voxel) { return slots_[index_of(voxel)].waiting == 0; });
   std::sort(wanted_.begin(), wanted_.end(), [this](VoxelId a, VoxelId b) {
     const std::uint64_t waiting_a = slots_[index_of(a)].waiting;

@@ -8,8 +8,12 @@
 // had; what is admitted is never evicted before it has served the rays that waited for it. So
 // admitted voxels always come to an end, and a limit of one voxel still renders: they are admitted
 // in turn. Room is made from the voxel that was used longest ago: first its BVH goes, then its
-// block. Invariant: promised_bytes() <= limit_bytes, and held_bytes() <= promised_bytes(). Threads:
-// none of its own; the owner locks.
+// block.
+//
+// Invariant: promised_bytes() <= limit_bytes, and held_bytes() <= promised_bytes(). A BVH that
+// proves larger than the directory's bound may break the first until the next step evicts for it.
+//
+// Threads: none of its own; the owner locks.
 #pragma once
 
 #include <cstdint>

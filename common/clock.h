@@ -3,6 +3,7 @@
 // Only the steady clock; the wall clock is printed, never compared.
 #pragma once
 
+#include <algorithm>
 #include <chrono>
 #include <cstdlib>
 
@@ -28,7 +29,7 @@ using Duration = Clock::duration;
   return value >= 0.01 && value <= 1000.0 ? value : 1.0;
 }
 
-// Every timer of the protocol in one place (RELIABILITY section 2).
+// Every timer of the protocol in one place.
 struct Timers {
   Duration heartbeat = std::chrono::seconds(1);
   Duration suspect = std::chrono::seconds(3);     // silent worker: no new leases
@@ -53,6 +54,8 @@ struct Timers {
           &timers.kill_grace, &timers.waiting_notice}) {
       *duration = shorter(*duration);
     }
+    // A busy machine lets a process wait so long without being stopped.
+    timers.tick_gap = std::max<Duration>(timers.tick_gap, std::chrono::milliseconds(500));
     return timers;
   }
 };

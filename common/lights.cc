@@ -72,7 +72,7 @@ float range_factor(float range, float distance) {
 
 namespace {
 
-// Radiant power up to the common factor pi, in a scene of unit radius (DESIGN section 4).
+// Radiant power up to the common factor pi, in a scene of unit radius.
 double power(const PunctualLight& light) {
   const double intensity = std::max(0.0, luminance(light.intensity));
   if (light.kind == PunctualLightKind::kPoint) { return 4.0 * intensity; }

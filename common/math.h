@@ -1,5 +1,5 @@
 // Mathematics whose bits are the same on every machine: + - * / sqrt and polynomials, never libm,
-// whose sin, exp and others differ between versions (DESIGN section 3, rule 1). Needs
+// whose sin, exp and others differ between versions. Needs
 // -ffp-contract=off, which the build sets.
 #pragma once
 

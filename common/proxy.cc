@@ -631,11 +631,18 @@ struct VoxelTree {
   std::uint32_t splits_kept = 0;
 };
 
+// Where many triangles coincide every split multiplies their pieces, so splitting ends at this many
+// times the voxel's own.
+constexpr std::size_t kPieceGrowthMax = 8;
+constexpr std::size_t kPiecesFree = 4096;
+
 class VoxelTreeBuilder {
  public:
   explicit VoxelTreeBuilder(VoxelTree& tree) : tree_(tree) {}
 
   void build(std::vector<Piece> pieces, std::size_t leaf_count_max) {
+    const std::size_t pieces_max = kPieceGrowthMax * pieces.size() + kPiecesFree;
+    pieces_held_ = pieces.size();
     tree_.nodes.push_back({summarise(pieces, tree_.cell)});
     push({0, 0, tree_.cell, std::move(pieces)});
     std::size_t leaf_count = 1;
@@ -643,10 +650,11 @@ class VoxelTreeBuilder {
     while (!open_.empty()) {
       const float error_next = tree_.nodes[open_.front().node].summary.error;
       const std::size_t max = error_next > kErrorLarge ? kLeavesMax : leaf_count_max;
-      if (leaf_count >= max) { break; }
+      if (leaf_count >= max || pieces_held_ > pieces_max) { break; }
       std::pop_heap(open_.begin(), open_.end(), later_);
       const Open open = std::move(open_.back());
       open_.pop_back();
+      pieces_held_ -= open.pieces.size();
       const std::uint32_t children = split(open);
       if (children == 0) { continue; }
       BuildNode& node = tree_.nodes[open.node];
@@ -695,6 +703,7 @@ class VoxelTreeBuilder {
     for (unsigned octant = 0; octant < 8; ++octant) {
       if (parts[octant].empty()) { continue; }
       const Aabb cell = child_cell(open.cell, octant);
+      pieces_held_ += parts[octant].size();
       tree_.nodes.push_back({summarise(parts[octant], cell)});
       tree_.nodes[open.node].child_mask |= static_cast<std::uint8_t>(1U << octant);
       push({first_child + count, open.depth + 1, cell, std::move(parts[octant])});
@@ -743,6 +752,7 @@ class VoxelTreeBuilder {
   VoxelTree& tree_;
   Later later_{&tree_};
   std::vector<Open> open_;
+  std::size_t pieces_held_ = 0;
 };
 
 // ---- the cut through all trees that the budget allows ----

@@ -1,6 +1,6 @@
 // What went wrong outside this process, as a value: a frame, a file, a scene, the network.
 //
-// The code becomes the process's exit code where the error ends the program (DESIGN section 9).
+// The code becomes the process's exit code where the error ends the program.
 #pragma once
 
 #include <string>
@@ -12,13 +12,13 @@ namespace preheat {
 enum class ExitCode : int {
   kDone = 0,
   kFailed = 1,
-  kUsage = 2,             // bad usage, address or size
-  kNoWorkers = 3,         // no workers in time
-  kMasterGone = 4,        // master gone or refused
+  kUsage = 2,       // bad usage, address or size
+  kNoWorkers = 3,   // no workers in time
+  kMasterGone = 4,  // master gone or refused
   kStoreDamaged = 5,
   kOutputUnwritable = 6,
-  kMismatch = 7,          // version, ISA or scene
-  kPoisonedTile = 8,      // finished without a poisoned tile
+  kMismatch = 7,      // version, ISA or scene
+  kPoisonedTile = 8,  // finished without a poisoned tile
   kSceneRejected = 9,
   kInterrupted = 130,
   kTerminated = 143,

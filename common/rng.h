@@ -1,5 +1,5 @@
 // Random numbers as a function of (seed, pixel, sample, bounce, dimension) and nothing else, in
-// integers, so that every machine draws the same ones in any order (DESIGN section 3, rule 1).
+// integers, so that every machine draws the same ones in any order.
 //
 // Each (pixel, bounce, dimension) owns one copy of the first two dimensions of Sobol's sequence,
 // with its index shuffled and both coordinates scrambled by hashes that act as Owen scrambling

@@ -1,7 +1,7 @@
 // A scene as imported: plain arrays in the scene frame. Built by an importer, read by the compiler.
 //
-// The scene frame is the file's world, rebased and scaled by a power of two to about unit size
-// (DESIGN section 4), so that every later stage works on coordinates of magnitude <= 1.
+// The scene frame is the file's world, rebased and scaled by a power of two to about unit size, so
+// that every later stage works on coordinates of magnitude <= 1.
 #pragma once
 
 #include <array>
@@ -30,9 +30,9 @@ struct Camera {
   Vec3d right{1.0, 0.0, 0.0};
   Vec3d up{0.0, 1.0, 0.0};
   Vec3d forward{0.0, 0.0, -1.0};
-  double vertical_fov_rad = 1.0;    // perspective, in (0, pi)
+  double vertical_fov_rad = 1.0;  // perspective, in (0, pi)
   bool orthographic = false;
-  double height_file = 0.0;         // orthographic only: height of the view in the file's units
+  double height_file = 0.0;  // orthographic only: height of the view in the file's units
 };
 
 // glTF metallic-roughness with the extensions that the renderer models. Colours are linear.
@@ -56,12 +56,12 @@ enum class PunctualLightKind : std::uint8_t { kPoint = 0, kSpot = 1, kDirectiona
 // KHR_lights_punctual in the scene frame.
 struct PunctualLight {
   PunctualLightKind kind = PunctualLightKind::kPoint;
-  Vec3 position{0.0F};              // point, spot
+  Vec3 position{0.0F};                // point, spot
   Vec3 direction{0.0F, 0.0F, -1.0F};  // the way the light travels, unit; spot, directional
-  // Point and spot: radiant intensity times 4^scale_exponent, so that intensity / distance^2 with the
-  // distance in scene units is irradiance. Directional: irradiance on a facing surface.
+  // Point and spot: radiant intensity times 4^scale_exponent, so that intensity / distance^2 with
+  // the distance in scene units is irradiance. Directional: irradiance on a facing surface.
   Vec3 intensity{0.0F};
-  float range = 0.0F;  // scene units; 0 = without end. The glTF window function applies.
+  float range = 0.0F;      // scene units; 0 = without end. The glTF window function applies.
   float cos_inner = 1.0F;  // spot
   float cos_outer = 0.0F;  // spot
 };

@@ -24,8 +24,8 @@ Features detect_features(const SceneTables& tables) {
     const bool metal_only = material.metallic >= 1.0F;
     const bool transmits = !metal_only && material.transmission > 0.0F;
     features.diffuse |= !metal_only && material.transmission < 1.0F;
-    features.specular |= material.metallic > 0.0F || transmits ||
-                         material.specular_color != Vec3(0.0F);
+    features.specular |=
+        material.metallic > 0.0F || transmits || material.specular_color != Vec3(0.0F);
     features.transmission |= transmits;
     features.rough_transmission |= transmits && material.roughness > 0.0F;
   }
@@ -46,8 +46,7 @@ std::vector<NamedFeature> named(const Features& features) {
           {"diffuse", features.diffuse},
           {"specular", features.specular},
           {"transmission", features.transmission},
-          {"rough_transmission", features.rough_transmission},
-          {"smooth_normals", features.smooth_normals}};
+          {"rough_transmission", features.rough_transmission}};
 }
 
 std::vector<std::string> names_where(const Features& features, bool present) {

@@ -33,8 +33,8 @@ struct EmissiveTriangle {
 struct VoxelEntry {
   // The triangles' extent inside the octree node, both grown by kVoxelMargin.
   Aabb bounds{};
-  std::uint64_t block_offset = 0;    // in the store's block section [bytes]
-  std::uint32_t block_bytes = 0;     // held raw
+  std::uint64_t block_offset = 0;  // in the store's block section [bytes]
+  std::uint32_t block_bytes = 0;   // held raw
   std::uint32_t triangle_count = 0;
   std::uint64_t resident_bytes = 0;  // held built: the block and an upper bound of its BVH
   Hash128 hash{};                    // of the block's bytes
@@ -69,14 +69,13 @@ struct SceneTables {
 
 // What the scene calls for; a stage, ray type or term exists only where its feature is set.
 struct Features {
-  bool emitters = false;        // emissive triangles
-  bool point_lights = false;    // point, spot or directional
-  bool environment = false;     // a sky, known when a render starts
+  bool emitters = false;      // emissive triangles
+  bool point_lights = false;  // point, spot or directional
+  bool environment = false;   // a sky, known when a render starts
   bool diffuse = false;
-  bool specular = false;        // metals and dielectric coats
+  bool specular = false;  // metals and dielectric coats
   bool transmission = false;
   bool rough_transmission = false;
-  bool smooth_normals = false;
   [[nodiscard]] std::vector<std::string> modelled() const;
   [[nodiscard]] std::vector<std::string> left_out() const;
 };

@@ -13,7 +13,7 @@ namespace preheat {
 inline constexpr std::uint64_t kVoxelSizeBytesMin = std::uint64_t{4} << 10U;
 inline constexpr std::uint64_t kVoxelSizeBytesDefaultMax = std::uint64_t{256} << 10U;
 
-// The smaller of 256 KiB and 1/256 of the scene's data, but no less than 4 KiB (DESIGN section 2).
+// The smaller of 256 KiB and 1/256 of the scene's data, but no less than 4 KiB.
 [[nodiscard]] std::uint64_t default_voxel_size(const Scene& scene);
 
 struct VoxelCut {

@@ -271,7 +271,7 @@ TEST(Octree, OfASceneInOnePointIsALeaf) {
   EXPECT_GE(octree.references.size(), 1000U);
 }
 
-// RELIABILITY N7: triangles that span the scene are in every cell they can be in.
+// Triangles that span the scene are in every cell they can be in.
 TEST(Octree, BoundsTheReferencesOfTrianglesThatSpanTheScene) {
   Scene scene = test::empty_scene();
   SoupRandom random(5);

@@ -64,7 +64,6 @@ TEST(Compiler, WritesTheSameBytesOnAnyNumberOfThreads) {
   }
 }
 
-// RELIABILITY N1.
 TEST(Compiler, OfAnEmptySceneHasNoVoxels) {
   const ScratchFolder folder;
   const Result<Store> store = compile_and_open(test::empty_scene(), folder / "a.store");
@@ -74,7 +73,7 @@ TEST(Compiler, OfAnEmptySceneHasNoVoxels) {
   EXPECT_EQ(store->tables().resident_bytes(), 0U);
 }
 
-// RELIABILITY N2 to N5: scenes that are a triangle, a plane, a point, a sliver.
+// Scenes that are a triangle, a plane, a point, a sliver.
 TEST(Compiler, TakesScenesWithoutExtent) {
   const ScratchFolder folder;
   Scene one = test::empty_scene();
@@ -98,7 +97,7 @@ TEST(Compiler, TakesScenesWithoutExtent) {
   }
 }
 
-// RELIABILITY N3, N7: coincident and spanning triangles may not blow the store up.
+// Coincident and spanning triangles may not blow the store up.
 TEST(Compiler, BoundsTheStoreOfHostileScenes) {
   const ScratchFolder folder;
   Scene coincident = test::empty_scene();

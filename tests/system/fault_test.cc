@@ -173,6 +173,7 @@ class Faults : public ::testing::Test {
     std::vector<std::string> all{"--listen", address_, "--ledger",    path(name + ".ledger"),
                                  "--cache",  "60%",    "--tile-size", "8"};
     all.insert(all.end(), more.begin(), more.end());
+    fs::remove(path(name + ".ledger"));
     return std::make_unique<Process>(kPreheat, render_arguments(name, all), path(name + ".log"));
   }
   Process& start_worker() {

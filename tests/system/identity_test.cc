@@ -96,7 +96,7 @@ class Identity : public testing::Test {
 };
 
 TEST_F(Identity, OfTheDemoSceneOverWorkersCachesPreloadsTilesAndThreads) {
-  expect_one_image("demo:50000", "--size 72x56 --spp 2");
+  expect_one_image("demo:200k", "--size 72x56 --spp 2");
 }
 
 TEST_F(Identity, OfAnOfficeOverWorkersCachesPreloadsTilesAndThreads) {
