@@ -119,16 +119,18 @@ void DemoRoom::define_materials() {
     scene_.materials[index].specular_color = Vec3(0.0F);
     return index;
   };
-  plaster_ = matte("plaster", {0.62F, 0.60F, 0.54F});
+  plaster_ = matte("plaster", {0.72F, 0.69F, 0.62F});
   ceiling_ = matte("ceiling", {0.82F, 0.81F, 0.78F});
   trim_ = material("trim", {0.80F, 0.79F, 0.75F}, 0.4F);
   oak_ = material("oak", {0.42F, 0.25F, 0.12F}, 0.35F);
   walnut_ = material("walnut", {0.16F, 0.085F, 0.045F}, 0.32F);
   linen_ = matte("linen", {0.72F, 0.68F, 0.58F});
   paper_ = matte("paper", {0.78F, 0.73F, 0.62F});
-  brass_ = material("brass", {0.89F, 0.67F, 0.32F}, 0.22F, 1.0F);
-  copper_ = material("copper", {0.93F, 0.55F, 0.40F}, 0.16F, 1.0F);
-  steel_ = material("brushed steel", {0.66F, 0.66F, 0.68F}, 0.38F, 1.0F);
+  // No metal but the mirrors is smoother than this: the sun is a point, its highlight grows with
+  // 1 / roughness^4, and a path that meets such a highlight by chance leaves a speck.
+  brass_ = material("brass", {0.89F, 0.67F, 0.32F}, 0.34F, 1.0F);
+  copper_ = material("copper", {0.93F, 0.55F, 0.40F}, 0.30F, 1.0F);
+  steel_ = material("brushed steel", {0.66F, 0.66F, 0.68F}, 0.40F, 1.0F);
   mirror_ = material("mirror", {0.95F, 0.95F, 0.95F}, 0.0F, 1.0F);
   iron_ = material("blackened iron", {0.03F, 0.03F, 0.035F}, 0.45F);
   clear_ = glass("glass", Vec3(0.985F), 1.5F);
@@ -136,17 +138,17 @@ void DemoRoom::define_materials() {
   wine_ = glass("wine", {0.62F, 0.05F, 0.08F}, 1.34F);
   water_ = glass("water", {0.96F, 0.985F, 0.98F}, 1.33F);
   green_glass_ = glass("green glass", {0.45F, 0.82F, 0.55F}, 1.52F);
-  ceramic_ = material("ceramic", {0.80F, 0.80F, 0.77F}, 0.12F);
-  glaze_ = material("blue glaze", {0.05F, 0.16F, 0.33F}, 0.08F);
+  ceramic_ = material("ceramic", {0.80F, 0.80F, 0.77F}, 0.25F);
+  glaze_ = material("blue glaze", {0.05F, 0.16F, 0.33F}, 0.24F);
   terracotta_ = matte("terracotta", {0.52F, 0.22F, 0.12F});
   soil_ = matte("soil", {0.05F, 0.035F, 0.025F});
   leaf_ = material("leaf", {0.06F, 0.20F, 0.045F}, 0.35F);
   leaf_young_ = material("young leaf", {0.16F, 0.34F, 0.06F}, 0.4F);
   bark_ = matte("bark", {0.19F, 0.13F, 0.08F});
-  apple_ = material("apple", {0.55F, 0.045F, 0.035F}, 0.22F);
+  apple_ = material("apple", {0.55F, 0.045F, 0.035F}, 0.3F);
   orange_ = material("orange", {0.85F, 0.32F, 0.03F}, 0.35F);
   lemon_ = material("lemon", {0.86F, 0.66F, 0.07F}, 0.35F);
-  grape_ = material("grape", {0.13F, 0.04F, 0.14F}, 0.2F);
+  grape_ = material("grape", {0.13F, 0.04F, 0.14F}, 0.3F);
   wax_ = material("wax", {0.86F, 0.80F, 0.66F}, 0.5F);
   wicker_ = material("wicker", {0.45F, 0.29F, 0.14F}, 0.6F);
   velvet_ = matte("velvet", {0.055F, 0.17F, 0.16F});

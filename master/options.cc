@@ -93,6 +93,14 @@ Result<Vec3> parse_radiance(const std::string& text) {
   return radiance;
 }
 
+Result<std::uint64_t> parse_seed(const std::string& text) {
+  std::uint64_t seed = 0;
+  const char* const end = text.data() + text.size();
+  const auto [rest, error] = std::from_chars(text.data(), end, seed);
+  if (error != std::errc{} || rest != end) { return wrong("a whole number in 0..2^64-1", text); }
+  return seed;
+}
+
 Result<double> parse_preload_share(const std::string& text) {
   if (text == "auto") { return -1.0; }
   const std::optional<double> share = number_in(text);

@@ -33,6 +33,8 @@ inline constexpr unsigned kWorkersMax = 256;
 [[nodiscard]] Result<Vec3d> parse_vector(const std::string& text);
 // "r,g,b"; finite, not negative.
 [[nodiscard]] Result<Vec3> parse_radiance(const std::string& text);
+// A whole number in 0..2^64-1.
+[[nodiscard]] Result<std::uint64_t> parse_seed(const std::string& text);
 // "auto", which is a negative number here, or a share in [0,1].
 [[nodiscard]] Result<double> parse_preload_share(const std::string& text);
 [[nodiscard]] Result<AccessCounting> parse_access_counting(const std::string& text);
