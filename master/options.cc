@@ -56,17 +56,6 @@ Result<ImageSize> parse_image_size(const std::string& text) {
   return ImageSize{*width, *height};
 }
 
-Result<std::uint64_t> parse_seed(const std::string& text) {
-  std::uint64_t seed = 0;
-  const char* const end = text.data() + text.size();
-  const auto [rest, error] = std::from_chars(text.data(), end, seed);
-  if (error != std::errc{} || rest != end) {
-    return fail(ExitCode::kUsage,
-                fmt::format("\"{}\" is not a whole number from 0 to 2^64 - 1", text));
-  }
-  return seed;
-}
-
 Result<Vec3d> parse_vector(const std::string& text) {
   Vec3d vector{0.0};
   std::string_view rest = text;

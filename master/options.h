@@ -27,8 +27,6 @@ inline constexpr unsigned kWorkersMax = 256;
 [[nodiscard]] Result<CacheSize> parse_cache_size(const std::string& text);
 // "640x480".
 [[nodiscard]] Result<ImageSize> parse_image_size(const std::string& text);
-// A whole number from 0 to 2^64 - 1.
-[[nodiscard]] Result<std::uint64_t> parse_seed(const std::string& text);
 // "1,2.5,-3e2"; finite.
 [[nodiscard]] Result<Vec3d> parse_vector(const std::string& text);
 // "r,g,b"; finite, not negative.
