@@ -415,7 +415,9 @@ bool Renderer::Impl::exchange(unsigned index, bool ran) {
     cache_->served(rays.voxel, rays.rays);
     cache_changed = true;
   }
-  for (const VoxelRays& rays : tracer.take_demands()) {
+  const std::vector<VoxelRays> demands =
+      tracer.wants_voxels() ? tracer.take_demands() : std::vector<VoxelRays>{};
+  for (const VoxelRays& rays : demands) {
     cache_->add_waiting(rays.voxel, rays.rays);
     cache_changed = true;
     // Published between the ray's look and now: nobody else would tell.

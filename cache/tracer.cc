@@ -37,6 +37,12 @@ bool Tracer::wants_tile() const {
          !paths_free_.empty();
 }
 
+bool Tracer::wants_voxels() const {
+  const bool starved =
+      runnable_.empty() && available_.empty() && (tiles_startable_.empty() || paths_free_.empty());
+  return starved || paths_free_.size() * 2 < paths_.size();
+}
+
 void Tracer::add_tile(TileId tile) {
   auto active = std::make_unique<ActiveTile>();
   active->id = tile;

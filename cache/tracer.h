@@ -69,6 +69,11 @@ class Tracer {
 
   [[nodiscard]] bool has_parked_rays() const { return parked_count_ > 0; }
 
+  // True if asking for voxels pays now. While fresh paths can run, rays gather at the missing
+  // voxels, so that one visit of a voxel serves many; once nothing else runs, or half the paths
+  // wait, it does.
+  [[nodiscard]] bool wants_voxels() const;
+
   // What changed since the last call.
   [[nodiscard]] std::vector<VoxelRays> take_demands();
   [[nodiscard]] std::vector<VoxelRays> take_served();
