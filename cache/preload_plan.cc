@@ -6,9 +6,11 @@
 namespace preheat {
 namespace {
 
-// Half of a cache that does not hold the scene is left to what rays ask for: raw blocks, of which
-// a byte holds several times more triangles than of built ones.
-constexpr double kShareAuto = 0.5;
+// Of a cache that does not hold the scene a tenth is left to what rays ask for. Hot triangles are
+// traced several times faster than those behind a box, and the room for the rest hardly changes how
+// often it is fetched: between a half and 98 % hot, 9 in 10 was the fastest or next to it on every
+// scene that was measured.
+constexpr double kShareAuto = 0.9;
 
 std::uint64_t share_of(std::uint64_t bytes, double share) {
   if (share >= 1.0) { return bytes; }

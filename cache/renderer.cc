@@ -38,6 +38,12 @@ void flush_denormals() {
   _mm_setcsr(_mm_getcsr() | kFlushToZero | kDenormalsAreZero);
 }
 
+// A cold voxel's block with the view that was checked when it came.
+struct HeldBlock {
+  VoxelBytes bytes{};
+  VoxelBlockView view{};
+};
+
 // How long the builder sleeps between looks at batches that may still see a withdrawn mesh.
 constexpr std::chrono::microseconds kQuiescencePoll{200};
 
@@ -121,7 +127,7 @@ class Renderer::Impl {
   std::uint64_t build_peak_bytes_ = 0;
 
   std::optional<VoxelCache> cache_;
-  std::unordered_map<VoxelId, VoxelBytes> blocks_;
+  std::unordered_map<VoxelId, HeldBlock> blocks_;
   std::unordered_map<VoxelId, std::unique_ptr<VoxelMesh>> meshes_;
   std::uint64_t tiles_done_ = 0;
   std::atomic<std::uint64_t> progress_{0};
@@ -199,7 +205,7 @@ Result<void> Renderer::Impl::deliver(VoxelId voxel, const VoxelBytes& bytes) {
     return {};
   }
   if (!cache_ || !cache_->block_arrived(voxel)) { return {}; }
-  blocks_[voxel] = bytes;
+  blocks_[voxel] = {bytes, *block};
   step_cache();
   return {};
 }
@@ -356,16 +362,14 @@ void Renderer::Impl::build_hot_set() {
 }
 
 void Renderer::Impl::build_voxel(VoxelId voxel) {
-  VoxelBytes bytes;
+  HeldBlock block;
   {
     const std::lock_guard lock(mutex_);
-    bytes = blocks_.at(voxel);
+    block = blocks_.at(voxel);
   }
-  const Result<VoxelBlockView> block = view_voxel_block(bytes.bytes, tables_.materials.size());
-  CHECK(block.has_value());
   const std::uint64_t bytes_before = cold_device_.bytes();
   cold_device_.reset_peak();
-  auto mesh = std::make_unique<VoxelMesh>(cold_device_, *block);
+  auto mesh = std::make_unique<VoxelMesh>(cold_device_, block.view);
   const std::uint64_t bvh_bytes = cold_device_.bytes() - bytes_before;
   const std::uint64_t transient = cold_device_.bytes_peak() - cold_device_.bytes();
   const std::string error = cold_device_.take_error();

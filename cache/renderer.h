@@ -21,6 +21,7 @@
 
 #include "common/film.h"
 #include "common/ids.h"
+#include "common/limits.h"
 #include "common/render_settings.h"
 #include "common/result.h"
 #include "common/scene_tables.h"
@@ -33,7 +34,7 @@ struct RendererOptions {
   std::uint64_t cache_limit_bytes = 0;  // >= SceneTables::resident_bytes_min()
   std::uint32_t tile_size = 32;
   AccessCounting count_accesses = AccessCounting::kSampled;
-  std::size_t paths_per_thread = 65536;  // in flight
+  std::size_t paths_per_thread = kPathsPerThread;
 };
 
 // The bytes of one voxel, 16-byte aligned, already checked against its hash. For `--local` they

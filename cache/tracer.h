@@ -24,6 +24,7 @@
 
 #include "cache/tracing.h"
 #include "common/film.h"
+#include "common/limits.h"
 #include "common/path.h"
 #include "common/render_settings.h"
 #include "common/stats.h"
@@ -38,7 +39,7 @@ struct TracerContext {
   ResidentTable& resident;
   TileGrid grid{};
   AccessCounting count_accesses = AccessCounting::kSampled;
-  std::size_t paths_max = 65536;  // in flight
+  std::size_t paths_max = kPathsPerThread;  // in flight
 };
 
 struct FinishedTile {

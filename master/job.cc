@@ -154,7 +154,7 @@ void Job::handle_hello(const SessionId& from, const Hello& hello, Time now) {
   leases_.add_worker(worker->id);
   worker->presence = Presence::kPreparing;
   worker->process_id = hello.process_id;
-  worker->leases_max = 2 * std::size_t{hello.threads} + 1;
+  worker->threads = hello.threads;
   worker->plan = std::move(*plan);
   worker->stalled = false;
   worker->heard_last = now;
@@ -368,13 +368,28 @@ void Job::take_tile(Worker& worker, const TileChunk& chunk, const Assembly& asse
   grant_to(worker, now);
 }
 
+std::size_t Job::leases_wanted(const Worker& worker) const {
+  const std::size_t least = 2 * worker.threads + 1;
+  const std::uint64_t samples_per_tile =
+      std::uint64_t{options_.tile_size} * options_.tile_size * options_.settings.spp;
+  const std::uint64_t deep = least + 2 * worker.threads * kPathsPerThread / samples_per_tile;
+  const auto ready = std::count_if(workers_.begin(), workers_.end(), [](const auto& other) {
+    return other->presence == Presence::kReady;
+  });
+  const std::uint64_t open = grid_.count() - leases_.tiles_committed();
+  const std::uint64_t fair =
+      open / (2 * std::max<std::uint64_t>(1, static_cast<std::uint64_t>(ready)));
+  return std::max<std::size_t>(least, std::min({deep, fair, std::uint64_t{kLeasesPerWorkerMax}}));
+}
+
 void Job::grant_to(Worker& worker, Time now) {
   if (phase_ != Phase::kRendering || worker.presence != Presence::kReady || worker.stalled ||
       now - worker.heard_last >= options_.timers.suspect) {
     return;
   }
   Grant grant;
-  while (leases_.held_count(worker.id) < worker.leases_max) {
+  const std::size_t wanted = leases_wanted(worker);
+  while (leases_.held_count(worker.id) < wanted) {
     const std::optional<Lease> lease = leases_.grant(worker.id, now);
     if (!lease) { break; }
     grant.leases.items.push_back(*lease);

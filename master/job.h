@@ -101,7 +101,7 @@ class Job {
     SessionId session{};
     Presence presence = Presence::kPreparing;
     std::uint32_t process_id = 0;
-    std::size_t leases_max = 1;
+    std::size_t threads = 1;
     WorkerPlan plan{};
     WorkerStats stats{};
     std::uint64_t progress = 0;
@@ -124,6 +124,10 @@ class Job {
   void take_tile(Worker& worker, const TileChunk& chunk, const Assembly& assembly, Time now);
 
   void welcome(const Worker& worker);
+  // So many tiles that the worker's paths in flight never run short, for rays of all of them share
+  // the visits of a voxel; towards the frame's end no more than half of its share of the rest, so
+  // that nobody waits for one who took too many.
+  [[nodiscard]] std::size_t leases_wanted(const Worker& worker) const;
   void expel(Worker& worker, const Refuse& reason, Time now);
   // A worker that is silent may be stopped or cut off; only one that is seen to end may have been
   // killed by its tile.

@@ -10,25 +10,12 @@
 namespace preheat {
 namespace {
 
-// The whole of `text` as a finite number.
-std::optional<double> number_in(std::string_view text) {
-  double value = 0.0;
-  const char* const end = text.data() + text.size();
-  const auto [rest, error] = std::from_chars(text.data(), end, value);
-  if (error != std::errc{} || rest != end || !std::isfinite(value)) { return std::nullopt; }
-  return value;
-}
-
 std::optional<std::uint32_t> count_in(std::string_view text) {
   std::uint32_t value = 0;
   const char* const end = text.data() + text.size();
   const auto [rest, error] = std::from_chars(text.data(), end, value);
   if (error != std::errc{} || rest != end) { return std::nullopt; }
   return value;
-}
-
-tl::unexpected<Error> wrong(const std::string& wanted, const std::string& text) {
-  return fail(ExitCode::kUsage, fmt::format("'{}' is not {}", text, wanted));
 }
 
 }  // namespace
@@ -41,17 +28,16 @@ Result<CacheSize> parse_cache_size(const std::string& text) {
 }
 
 Result<ImageSize> parse_image_size(const std::string& text) {
-  const std::size_t cross = text.find('x');
+  const std::size_t cross = std::min(text.find('x'), text.size());
   const auto sides = std::string_view(text);
   const std::optional<std::uint32_t> width = count_in(sides.substr(0, cross));
   const std::optional<std::uint32_t> height =
-      cross == std::string::npos ? std::nullopt : count_in(sides.substr(cross + 1));
-  if (!width || !height) { return wrong("an image size such as 640x480", text); }
+      count_in(sides.substr(std::min(cross + 1, sides.size())));
+  if (!width || !height) { return fail_to_parse(text, "an image size such as 640x480"); }
   const auto is_side = [](std::uint32_t side) { return side >= 1 && side <= kImageSideMax; };
   if (!is_side(*width) || !is_side(*height) || std::uint64_t{*width} * *height > kImagePixelsMax) {
-    return wrong(fmt::format("within 1..{} pixels a side and {} pixels in all", kImageSideMax,
-                             kImagePixelsMax),
-                 text);
+    return fail_to_parse(text, fmt::format("within 1..{} pixels a side and {} pixels in all",
+                                           kImageSideMax, kImagePixelsMax));
   }
   return ImageSize{*width, *height};
 }
@@ -62,8 +48,8 @@ Result<Vec3d> parse_vector(const std::string& text) {
   for (int axis = 0; axis < 3; ++axis) {
     const std::size_t comma = axis < 2 ? rest.find(',') : rest.size();
     const std::optional<double> value =
-        comma == std::string_view::npos ? std::nullopt : number_in(rest.substr(0, comma));
-    if (!value) { return wrong("three finite numbers such as 1,2.5,-3", text); }
+        comma == std::string_view::npos ? std::nullopt : parse_number(rest.substr(0, comma));
+    if (!value) { return fail_to_parse(text, "three finite numbers such as 1,2.5,-3"); }
     vector[axis] = *value;
     rest.remove_prefix(std::min(comma + 1, rest.size()));
   }
@@ -76,7 +62,7 @@ Result<Vec3> parse_radiance(const std::string& text) {
   const auto radiance = Vec3(*vector);
   for (int channel = 0; channel < 3; ++channel) {
     if (radiance[channel] < 0.0F || !std::isfinite(radiance[channel])) {
-      return wrong("three numbers of at least 0 such as 0.5,0.5,1", text);
+      return fail_to_parse(text, "three numbers of at least 0 such as 0.5,0.5,1");
     }
   }
   return radiance;
@@ -86,14 +72,16 @@ Result<std::uint64_t> parse_seed(const std::string& text) {
   std::uint64_t seed = 0;
   const char* const end = text.data() + text.size();
   const auto [rest, error] = std::from_chars(text.data(), end, seed);
-  if (error != std::errc{} || rest != end) { return wrong("a whole number in 0..2^64-1", text); }
+  if (error != std::errc{} || rest != end) {
+    return fail_to_parse(text, "a whole number in 0..2^64-1");
+  }
   return seed;
 }
 
 Result<double> parse_preload_share(const std::string& text) {
   if (text == "auto") { return -1.0; }
-  const std::optional<double> share = number_in(text);
-  if (!share || *share < 0.0 || *share > 1.0) { return wrong("auto or within 0..1", text); }
+  const std::optional<double> share = parse_number(text);
+  if (!share || *share < 0.0 || *share > 1.0) { return fail_to_parse(text, "auto or within 0..1"); }
   return *share;
 }
 
@@ -101,7 +89,7 @@ Result<AccessCounting> parse_access_counting(const std::string& text) {
   if (text == "exact") { return AccessCounting::kExact; }
   if (text == "sampled") { return AccessCounting::kSampled; }
   if (text == "none") { return AccessCounting::kNone; }
-  return wrong("exact, sampled or none", text);
+  return fail_to_parse(text, "exact, sampled or none");
 }
 
 Result<std::string> parse_address(const std::string& text) {
@@ -112,7 +100,7 @@ Result<std::string> parse_address(const std::string& text) {
     const std::optional<std::uint32_t> number = count_in(port);
     if (port == "*" || (number && *number <= 65535)) { return text; }
   }
-  return wrong("an address such as tcp://127.0.0.1:5555", text);
+  return fail_to_parse(text, "an address such as tcp://127.0.0.1:5555");
 }
 
 void add_view_options(CLI::App& app, ViewOptions& view) {
