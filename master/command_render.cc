@@ -189,7 +189,8 @@ Result<void> render(const RenderOptions& options) {
   if (reported && !result->poisoned_tiles.empty()) {
     return fail(
         ExitCode::kPoisonedTile,
-        fmt::format("{} of the tiles are black: three workers died on each, the first is {}",
+        fmt::format("{} of the tiles are black: workers died on each, two of them with no other "
+                    "tile; the first is {}",
                     result->poisoned_tiles.size(), index_of(result->poisoned_tiles.front())));
   }
   return reported;

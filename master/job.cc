@@ -260,8 +260,9 @@ void Job::lose(Worker& worker, Loss loss, const char* why, Time now) {
     return;
   }
   for (const TileId tile : leases_.worker_died(worker.id)) {
-    spdlog::error("event=tile_given_up tile={} reason=\"three workers died on it\"",
-                  index_of(tile));
+    spdlog::error(
+        "event=tile_given_up tile={} reason=\"several workers died on it, two with no other\"",
+        index_of(tile));
     note(R"({{"event":"poison","time":{:.6f},"tile":{}}})", seconds(now - begin_), index_of(tile));
   }
 }

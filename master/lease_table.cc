@@ -11,9 +11,11 @@ LeaseTable::LeaseTable(const TileGrid& grid, Duration lease_min, std::uint64_t s
 
 void LeaseTable::add_worker(WorkerId worker) {
   if (!live_by_worker_.try_emplace(worker).second) { return; }
-  for (auto& [tile, workers] : deaths_) { std::erase(workers, worker); }
+  for (auto& [tile, deaths] : deaths_) {
+    std::erase_if(deaths, [worker](const Death& death) { return death.worker == worker; });
+  }
   std::erase_if(poisoned_, [this](TileId tile) {
-    if (deaths_of(tile) >= kDeathsMax) { return false; }
+    if (is_deadly(tile)) { return false; }
     tiles_[index_of(tile)].poisoned = false;
     scheduler_.give_back(tile);
     return true;
@@ -30,14 +32,12 @@ void LeaseTable::remove_worker(WorkerId worker) {
 
 std::vector<TileId> LeaseTable::worker_died(WorkerId worker) {
   std::vector<TileId> poisoned_now;
-  for (const Lease& lease : held_by(worker)) {
+  const std::vector<Lease> held = held_by(worker);
+  for (const Lease& lease : held) {
     TileState& tile = tiles_[index_of(lease.tile)];
-    std::vector<WorkerId>& deaths = deaths_[lease.tile];
-    if (std::find(deaths.begin(), deaths.end(), worker) == deaths.end()) {
-      deaths.push_back(worker);
-    }
+    deaths_[lease.tile].push_back({worker, held.size() == 1});
     // A committed tile is rendered again only to settle a dispute, which it is not worth dying for.
-    if (deaths.size() < kDeathsMax) { continue; }
+    if (!is_deadly(lease.tile)) { continue; }
     if (tile.committed) {
       disputes_.erase(lease.tile);
     } else if (!tile.poisoned) {
@@ -50,13 +50,21 @@ std::vector<TileId> LeaseTable::worker_died(WorkerId worker) {
   return poisoned_now;
 }
 
-std::size_t LeaseTable::deaths_of(TileId tile) const {
+bool LeaseTable::is_suspect(TileId tile) const {
   const auto deaths = deaths_.find(tile);
-  return deaths == deaths_.end() ? 0 : deaths->second.size();
+  return deaths != deaths_.end() && deaths->second.size() >= kDeathsSuspect;
+}
+
+bool LeaseTable::is_deadly(TileId tile) const {
+  const auto deaths = deaths_.find(tile);
+  if (deaths == deaths_.end() || deaths->second.size() < kDeathsMax) { return false; }
+  const auto alone = std::count_if(deaths->second.begin(), deaths->second.end(),
+                                   [](const Death& death) { return death.alone; });
+  return static_cast<std::size_t>(alone) >= kDeathsAloneMax;
 }
 
 bool LeaseTable::may_lease(WorkerId worker, TileId tile) const {
-  if (deaths_of(tile) + 1 >= kDeathsMax && held_count(worker) > 0) { return false; }
+  if (is_suspect(tile) && held_count(worker) > 0) { return false; }
   const auto dispute = disputes_.find(tile);
   if (dispute == disputes_.end()) { return true; }
   const auto& parties = dispute->second.workers;
@@ -68,7 +76,7 @@ std::optional<Lease> LeaseTable::grant(WorkerId worker, Time now) {
   CHECK(entry != live_by_worker_.end());
   // A suspect tile is alone with its worker.
   for (const LeaseId held : entry->second) {
-    if (deaths_of(leases_.at(held).tile) + 1 >= kDeathsMax) { return std::nullopt; }
+    if (is_suspect(leases_.at(held).tile)) { return std::nullopt; }
   }
   const std::optional<TileId> tile =
       scheduler_.next([this, worker](TileId candidate) { return may_lease(worker, candidate); });

@@ -5,8 +5,10 @@
 // without a result gives its tile back, but is remembered: its result may still come, is the first
 // one and commits, or is compared with the committed one and dropped. Two different results for one
 // tile make the tile disputed: a third worker renders it again and the majority stays.
-// A tile that three workers died on is poisoned and given up; to be sure that it was this tile that
-// killed the third, a tile with two deaths is leased to a worker that has no other.
+//
+// Many tiles are with a worker when it dies, whatever it died of. A tile with two deaths is leased
+// to a worker that has no other, and one that two workers died on alone is poisoned and given up.
+//
 // Pure: time is an argument, lease ids come from a seeded generator.
 #pragma once
 
@@ -84,7 +86,12 @@ class LeaseTable {
   [[nodiscard]] Duration lease_length() const;
 
  private:
+  // A tile that was with so many workers when they died is suspect: it is leased alone.
+  static constexpr std::size_t kDeathsSuspect = 2;
+  // After so many deaths, so many of them alone with it, it is poisoned. Workers that die for
+  // reasons of their own take many tiles with them, and a suspect one at times; hardly twice.
   static constexpr std::size_t kDeathsMax = 3;
+  static constexpr std::size_t kDeathsAloneMax = 2;
   static constexpr std::size_t kDurationsKept = 256;
 
   struct Record {
@@ -102,6 +109,10 @@ class LeaseTable {
     LeaseId live_lease{};  // meaningful while has_live
     bool has_live = false;
   };
+  struct Death {
+    WorkerId worker{};
+    bool alone = false;  // it held no other tile
+  };
   struct Dispute {
     std::array<WorkerId, 2> workers{};  // who said what is committed, who said otherwise
     Hash128 other{};
@@ -109,7 +120,8 @@ class LeaseTable {
 
   void end_live(LeaseId lease);  // Requires: live. Its tile is pending again unless settled.
   [[nodiscard]] bool may_lease(WorkerId worker, TileId tile) const;
-  [[nodiscard]] std::size_t deaths_of(TileId tile) const;
+  [[nodiscard]] bool is_suspect(TileId tile) const;
+  [[nodiscard]] bool is_deadly(TileId tile) const;
   void keep_duration(Duration duration);
   [[nodiscard]] ResultOutcome judge(WorkerId worker, TileId tile, const Hash128& hash);
 
@@ -119,7 +131,7 @@ class LeaseTable {
   std::vector<TileState> tiles_;  // [tile_count]
   std::unordered_map<LeaseId, Record> leases_;
   std::unordered_map<WorkerId, std::unordered_set<LeaseId>> live_by_worker_;
-  std::unordered_map<TileId, std::vector<WorkerId>> deaths_;  // different workers
+  std::unordered_map<TileId, std::vector<Death>> deaths_;  // of different workers
   std::unordered_map<TileId, Dispute> disputes_;
   std::vector<TileId> poisoned_;
   std::uint32_t tiles_committed_ = 0;

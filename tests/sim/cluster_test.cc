@@ -177,7 +177,8 @@ class Cluster {
       workers_[random_() % workers_.size()]->stopped_until = now_ + std::chrono::seconds(8);
       ++stopped;
     }
-    if (faults_.master_stops && chance(0.0005)) {
+    // One stop at a time: workers rightly give up a master that is away for a minute.
+    if (faults_.master_stops && now_ >= master_stopped_until_ && chance(0.0005)) {
       master_stopped_until_ = now_ + std::chrono::seconds(20);
       ++stopped;
     }
