@@ -32,6 +32,10 @@ struct Prediction {
   double camera_total = 0.0;
   double scatter_total = 0.0;
   double shadow_total = 0.0;
+  // Standard errors of a model that samples, from independent parts of its samples; what the model
+  // gets wrong however many it takes is not in them. 0 and empty where a model does not sample.
+  double rays_total_error = 0.0;     // of rays_total()
+  std::vector<double> rays_error{};  // [voxel_count] of rays()
   double seconds = 0.0;
   NodePrediction nodes{};  // of the model `paper`; empty for the others
 
@@ -58,7 +62,7 @@ struct PaperKnobs {
 };
 
 struct TransportKnobs {
-  std::uint32_t paths = 0;  // 0 = the default
+  std::uint32_t paths = 0;  // of light, all over the image; 0 = the default
 };
 
 struct ProfileKnobs {

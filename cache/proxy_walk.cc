@@ -1,8 +1,9 @@
 #include "cache/proxy_walk.h"
 
+#include <immintrin.h>
+
 #include <algorithm>
 #include <array>
-#include <bit>
 #include <cmath>
 #include <string>
 #include <utility>
@@ -33,15 +34,57 @@ const std::array<float, 256>& optical_depths() {
   return depths;
 }
 
+// A ray against boxes, three slabs at once. As clip() of common/aabb.h but for rays along a slab,
+// whose reciprocal is cut off so that no lane is ever 0 * inf.
+class SlabTest {
+ public:
+  explicit SlabTest(const Ray& ray)
+      : reciprocal(cut(1.0F / ray.direction.x), cut(1.0F / ray.direction.y),
+                   cut(1.0F / ray.direction.z)),
+        t_min_(_mm_set_ss(ray.t_min)),
+        t_max_(_mm_set_ss(ray.t_max)),
+        origins_(_mm_set_ps(ray.origin.x, ray.origin.z, ray.origin.y, ray.origin.x)),
+        reciprocals_(_mm_set_ps(reciprocal.x, reciprocal.z, reciprocal.y, reciprocal.x)) {}
+
+  [[nodiscard]] Interval span(const Aabb& box) const {
+    static_assert(sizeof(Aabb) == 6 * sizeof(float));
+    const float* const values = &box.low.x;
+    const __m128 first = _mm_loadu_ps(values);       // low x y z, high x
+    const __m128 second = _mm_loadu_ps(values + 2);  // low z, high x y z
+    const __m128 low = _mm_shuffle_ps(first, first, _MM_SHUFFLE(0, 2, 1, 0));
+    const __m128 high = _mm_shuffle_ps(second, second, _MM_SHUFFLE(1, 3, 2, 1));
+    const __m128 t_low = _mm_mul_ps(_mm_sub_ps(low, origins_), reciprocals_);
+    const __m128 t_high = _mm_mul_ps(_mm_sub_ps(high, origins_), reciprocals_);
+    __m128 near = _mm_min_ps(t_low, t_high);
+    __m128 far = _mm_max_ps(t_low, t_high);
+    near = _mm_max_ps(near, _mm_shuffle_ps(near, near, _MM_SHUFFLE(2, 3, 0, 1)));
+    far = _mm_min_ps(far, _mm_shuffle_ps(far, far, _MM_SHUFFLE(2, 3, 0, 1)));
+    near = _mm_max_ss(_mm_max_ss(near, _mm_movehl_ps(near, near)), t_min_);
+    far = _mm_min_ss(far, _mm_movehl_ps(far, far));
+    far = _mm_min_ss(_mm_mul_ss(far, _mm_set_ss(1.00000036F)), t_max_);
+    return {_mm_cvtss_f32(near), _mm_cvtss_f32(far)};
+  }
+
+  Vec3 reciprocal;
+
+ private:
+  static float cut(float value) { return std::clamp(value, -1e30F, 1e30F); }
+
+  __m128 t_min_;
+  __m128 t_max_;
+  __m128 origins_;  // x y z x
+  __m128 reciprocals_;
+};
+
 // The state of one walk.
 class Walker {
  public:
   Walker(const SceneTables& tables, const Proxy& proxy, const Ray& ray, const ProxyOrigin& origin,
-         float unstopped, std::span<std::uint64_t> accesses)
+         float unstopped, std::span<double> accesses)
       : tables_(tables),
         proxy_(proxy),
         ray_(ray),
-        reciprocal_(1.0F / ray.direction.x, 1.0F / ray.direction.y, 1.0F / ray.direction.z),
+        slabs_(ray),
         nearest_octant_((ray.direction.x < 0.0F ? 1U : 0U) | (ray.direction.y < 0.0F ? 2U : 0U) |
                         (ray.direction.z < 0.0F ? 4U : 0U)),
         origin_(origin),
@@ -54,7 +97,7 @@ class Walker {
     std::array<Entry, kVoxelNodeDepthMax*(kVoxelNodeChildrenMax - 1) + 1> pending;
     std::size_t pending_count = 0;
     if (!tables_.voxel_nodes.empty()) {
-      const Interval span = span_in(tables_.voxel_nodes[0].bounds);
+      const Interval span = slabs_.span(tables_.voxel_nodes[0].bounds);
       if (!span.is_empty()) { pending[pending_count++] = {span.t_enter, 0}; }
     }
     while (pending_count > 0) {
@@ -68,7 +111,7 @@ class Walker {
       // Sorted by entry, the nearest last. Few children: insertion is quickest.
       const std::size_t begin = pending_count;
       for (std::uint32_t i = 0; i < node.count; ++i) {
-        const Interval span = span_in(tables_.voxel_nodes[node.first + i].bounds);
+        const Interval span = slabs_.span(tables_.voxel_nodes[node.first + i].bounds);
         if (span.is_empty()) { continue; }
         std::size_t at = pending_count++;
         while (at > begin && pending[at - 1].t_enter < span.t_enter) {
@@ -82,28 +125,20 @@ class Walker {
   }
 
  private:
+  // Of voxel nodes and of proxy nodes, on stacks; without initialisers, as filling a stack for
+  // every ray would take longer than walking it.
   struct Entry {
-    float t_enter = 0.0F;
-    std::uint32_t node = 0;
+    float t_enter;
+    std::uint32_t node;
+  };
+  struct Crossing {
+    float t_enter;
+    float t_exit;
+    std::uint32_t node;
   };
 
-  // As clip() of common/aabb.h, with the divisions done once.
-  [[nodiscard]] Interval span_in(const Aabb& box) const {
-    float enter = ray_.t_min;
-    float exit = ray_.t_max;
-    for (int axis = 0; axis < 3; ++axis) {
-      const float t_low = (box.low[axis] - ray_.origin[axis]) * reciprocal_[axis];
-      const float t_high = (box.high[axis] - ray_.origin[axis]) * reciprocal_[axis];
-      const float t_near = reciprocal_[axis] < 0.0F ? t_high : t_low;
-      const float t_far = (reciprocal_[axis] < 0.0F ? t_low : t_high) * 1.00000036F;
-      enter = enter < t_near ? t_near : enter;
-      exit = t_far < exit ? t_far : exit;
-    }
-    return {enter, exit};
-  }
-
   void count_access(std::uint32_t voxel, float probability) {
-    accesses_[voxel] += static_cast<std::uint64_t>(probability * static_cast<float>(kAccessUnit));
+    accesses_[voxel] += static_cast<double>(probability);
   }
 
   void enter_voxel(std::uint32_t voxel, float t_enter) {
@@ -115,26 +150,32 @@ class Walker {
   }
 
   void march(std::uint32_t voxel) {
-    std::array<std::uint32_t, kProxyDepthMax * 7 + 1> pending;
+    std::array<Crossing, kProxyDepthMax * 7 + 8> pending;
     std::size_t pending_count = 0;
-    pending[pending_count++] = proxy_.roots[voxel];
+    const std::uint32_t root = proxy_.roots[voxel];
+    const Interval whole = slabs_.span(proxy_.nodes[root].bounds);
+    if (!whole.is_empty()) { pending[pending_count++] = {whole.t_enter, whole.t_exit, root}; }
     while (pending_count > 0) {
-      const std::uint32_t at = pending[--pending_count];
-      const ProxyNode& node = proxy_.nodes[at];
-      const Interval span = span_in(node.bounds);
-      if (span.is_empty()) { continue; }
+      const Crossing crossing = pending[--pending_count];
+      const ProxyNode& node = proxy_.nodes[crossing.node];
       if (node.child_mask == 0) {
-        cross_leaf(voxel, at, span);
+        cross_leaf(voxel, crossing.node, {crossing.t_enter, crossing.t_exit});
         if (transmittance_ == 0.0F) { return; }
         continue;
       }
+      std::array<Crossing, 8> children;  // by octant
+      unsigned crossed = 0;
+      std::uint32_t child = node.first;
+      for (unsigned octant = 0; octant < 8; ++octant) {
+        if ((node.child_mask >> octant & 1U) == 0) { continue; }
+        const Interval span = slabs_.span(proxy_.nodes[child].bounds);
+        children[octant] = {span.t_enter, span.t_exit, child++};
+        if (!span.is_empty()) { crossed |= 1U << octant; }
+      }
       // XOR with the ray's signs turns octants into front-to-back order; the farthest goes first.
-      const unsigned mask = node.child_mask;
       for (unsigned order = 8; order-- > 0;) {
         const unsigned octant = order ^ nearest_octant_;
-        if ((mask >> octant & 1U) == 0) { continue; }
-        pending[pending_count++] =
-            node.first + static_cast<std::uint32_t>(std::popcount(mask & ((1U << octant) - 1U)));
+        if ((crossed >> octant & 1U) != 0) { pending[pending_count++] = children[octant]; }
       }
     }
   }
@@ -203,23 +244,26 @@ class Walker {
   void cross_scattered(const ProxyOrigin& leaf, const Interval& span, const ProxyRecord& record,
                        const Aabb& bounds) {
     const Vec3 block = bounds.extent() * 0.25F;
-    float density = 0.0F;
+    Vec3 along;  // optical depths per distance along each axis
     std::array<float, 3> t_next{};
     std::array<float, 3> t_step{};
     std::array<int, 3> at{};
     const Vec3 place = (ray_.origin + span.t_enter * ray_.direction - bounds.low) / block;
     for (std::size_t i = 0; i < 3; ++i) {
       const int axis = static_cast<int>(i);
-      density +=
+      along[axis] =
           std::abs(ray_.direction[axis]) * optical_depths()[record.coverage[i]] / block[axis];
       at[i] = static_cast<int>(std::clamp(place[axis], 0.0F, 3.0F));
-      const bool descends = reciprocal_[axis] < 0.0F;
+      const bool descends = slabs_.reciprocal[axis] < 0.0F;
       const float face =
           bounds.low[axis] + block[axis] * static_cast<float>(at[i] + (descends ? 0 : 1));
-      t_next[i] = (face - ray_.origin[axis]) * reciprocal_[axis];
+      t_next[i] = (face - ray_.origin[axis]) * slabs_.reciprocal[axis];
       if (!(t_next[i] >= span.t_enter)) { t_next[i] = kInfinity; }  // never left along this axis
-      t_step[i] = block[axis] * std::abs(reciprocal_[axis]);
+      t_step[i] = block[axis] * std::abs(slabs_.reciprocal[axis]);
     }
+    const float roundness = static_cast<float>(record.thickness) / 255.0F;
+    const float density =
+        roundness * glm::length(along) + (1.0F - roundness) * (along.x + along.y + along.z);
     const std::uint64_t mask = record_mask(record);
     const float reach = glm::length(block);
     Interval run{span.t_enter, span.t_enter};  // of occupied blocks, so far
@@ -275,11 +319,11 @@ class Walker {
   const SceneTables& tables_;
   const Proxy& proxy_;
   const Ray& ray_;
-  Vec3 reciprocal_;
+  SlabTest slabs_;
   unsigned nearest_octant_;
   const ProxyOrigin& origin_;
   float unstopped_;
-  std::span<std::uint64_t> accesses_;
+  std::span<double> accesses_;
   float transmittance_ = 1.0F;
   float transmittance_before_ = 1.0F;  // where it last fell, and where that was
   float stopped_at_ = -kInfinity;
@@ -322,7 +366,7 @@ Result<ProxyWalk> ProxyWalk::create(const SceneTables& tables, const Proxy& prox
 }
 
 ProxyStop ProxyWalk::walk(const Ray& ray, const ProxyOrigin& origin, float unstopped,
-                          std::span<std::uint64_t> accesses) const {
+                          std::span<double> accesses) const {
   return Walker(*tables_, *proxy_, ray, origin, unstopped, accesses).run();
 }
 

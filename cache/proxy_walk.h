@@ -18,10 +18,6 @@
 
 namespace preheat {
 
-// One access, in the fixed point of the counters: whole numbers add up to the same sum in any
-// order.
-inline constexpr double kAccessUnit = 1 << 20;
-
 // A plane is met within this share of its leaf's diagonal, so that rounding opens no seam between
 // the planes of neighbouring leaves.
 inline constexpr float kPlaneTolerance = 1e-4F;
@@ -47,10 +43,10 @@ class ProxyWalk {
   [[nodiscard]] static Result<ProxyWalk> create(const SceneTables& tables, const Proxy& proxy);
 
   // `unstopped` in [0,1): the walk stops where the transmittance falls to it or below; 0 = where
-  // nothing passes. A ray with an end is not stopped by the surface that it ends at. `accesses`
-  // [voxel_count], in units of kAccessUnit.
+  // nothing passes. A ray with an end is not stopped by the surface that it ends at. Adds to
+  // `accesses` [voxel_count].
   [[nodiscard]] ProxyStop walk(const Ray& ray, const ProxyOrigin& origin, float unstopped,
-                               std::span<std::uint64_t> accesses) const;
+                               std::span<double> accesses) const;
 
  private:
   ProxyWalk(const SceneTables& tables, const Proxy& proxy);

@@ -1,6 +1,5 @@
 #include "cache/transport_model.h"
 
-#include <tbb/enumerable_thread_specific.h>
 #include <tbb/parallel_for.h>
 #include <tbb/task_arena.h>
 
@@ -8,64 +7,57 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
+#include <string>
 #include <vector>
 
 #include "cache/proxy_walk.h"
+#include "common/math.h"
 #include "common/path.h"
+#include "common/rng.h"
 
 namespace preheat {
 namespace {
 
-// The image is cut into so many strata a side, with one path in each.
-constexpr std::uint32_t kStrataPerSide = 64;
+// Doubling it halves the sampling error, which is below that of the proxy itself from here on.
+constexpr std::uint32_t kPathsDefault = 4096;
+
+// The paths are traced in so many parts: what threads share out, and what the standard error is
+// estimated from.
+constexpr std::uint32_t kBatches = 32;
 
 enum RayType : std::size_t { kCamera = 0, kScatter = 1, kShadow = 2, kRayTypes = 3 };
 
-// What one thread has counted; whole numbers, so that threads may share the paths in any way.
+// What one batch has counted.
 struct Counts {
-  explicit Counts(std::size_t voxel_count) {
-    for (auto& type : accesses) { type.resize(voxel_count, 0); }
-  }
-  std::array<std::vector<std::uint64_t>, kRayTypes> accesses;
+  std::array<std::vector<double>, kRayTypes> accesses{};  // [voxel_count] each
   std::array<std::uint64_t, kRayTypes> rays{};
 };
 
-// PCG's output permutation over a multiplicative hash (Jarzynski and Olano, JCGT 2020).
-std::uint32_t hash(std::uint32_t value) {
-  const std::uint32_t state = value * 747796405U + 2891336453U;
-  const std::uint32_t word = ((state >> ((state >> 28U) + 4U)) ^ state) * 277803737U;
-  return (word >> 22U) ^ word;
+// The image as one pixel. A pixel's samples are spread evenly over it and, at every vertex, over
+// lights and directions (common/rng.h): so are, then, the paths over the image.
+RenderSettings one_pixel(RenderSettings settings) {
+  settings.width = 1;
+  settings.height = 1;
+  return settings;
 }
-
-// The numbers that the proxy needs beside those of the shading, which knows nothing of leaves.
-class LeafRandom {
- public:
-  LeafRandom(std::uint64_t seed, std::uint32_t path)
-      : state_(hash(path ^ hash(static_cast<std::uint32_t>(seed) ^
-                                hash(static_cast<std::uint32_t>(seed >> 32U))))) {}
-  float next() {  // in [0, 1)
-    state_ = hash(state_ + 0x9E3779B9U);
-    return static_cast<float>(state_ >> 8U) * 0x1p-24F;
-  }
-
- private:
-  std::uint32_t state_;
-};
 
 class TransportTracer {
  public:
   TransportTracer(const PredictionInput& input, const ProxyWalk& walk)
-      : input_(input), walk_(walk), shading_(input.tables, input.settings) {}
+      : input_(input),
+        walk_(walk),
+        shading_(input.tables, one_pixel(input.settings)),
+        leaf_rng_(~input.settings.seed) {}
 
-  void trace(std::uint32_t pixel, std::uint32_t sample, std::uint32_t index, Counts& counts) const {
-    LeafRandom random(input_.settings.seed, index);
+  void trace(std::uint32_t index, Counts& counts) const {
     PathState path;
-    Ray ray = shading_.start_path(pixel, sample, path);
+    Ray ray = shading_.start_path(0, index, path);
     RayType type = kCamera;
     ProxyOrigin origin;
     for (std::uint32_t bounce = 0; bounce <= input_.settings.bounces; ++bounce) {
       ++counts.rays[type];
-      const ProxyStop stop = walk_.walk(ray, origin, random.next(), counts.accesses[type]);
+      const LeafRandom random = leaf_random(index, bounce);
+      const ProxyStop stop = walk_.walk(ray, origin, random.unstopped, counts.accesses[type]);
       if (!stop.is_stopped) { return; }
       const ShadedVertex vertex = shading_.shade_hit(ray, surface_at(ray, stop, random), path);
       origin = stop.leaf;
@@ -80,8 +72,23 @@ class TransportTracer {
   }
 
  private:
+  // The numbers that the proxy needs beside those of the shading, which knows nothing of leaves.
+  struct LeafRandom {
+    float unstopped = 0.0F;
+    float material = 0.0F;
+    float face = 0.0F;
+    RandomPair normal{};
+  };
+
+  [[nodiscard]] LeafRandom leaf_random(std::uint32_t index, std::uint32_t bounce) const {
+    const RandomPair first = leaf_rng_.pair(0, index, bounce, Dimension::kChoice);
+    const RandomPair face = leaf_rng_.pair(0, index, bounce, Dimension::kRoulette);
+    return {first.x(), first.y(), face.x(),
+            leaf_rng_.pair(0, index, bounce, Dimension::kDirection)};
+  }
+
   [[nodiscard]] SurfaceHit surface_at(const Ray& ray, const ProxyStop& stop,
-                                      LeafRandom& random) const {
+                                      const LeafRandom& random) const {
     const Proxy& proxy = input_.proxy;
     const ProxyNode& node = proxy.nodes[stop.leaf.node];
     const ProxyRecord& record = proxy.records[node.first];
@@ -95,11 +102,12 @@ class TransportTracer {
     const float facing = glm::dot(hit.normal_geometric, ray.direction) > 0.0F ? -1.0F : 1.0F;
     const bool is_front = glm::dot(record_normal(record), ray.direction) < 0.0F;
     const float share = static_cast<float>(record.minor_share) / 255.0F;
-    const bool shows_minor = is_flat ? !is_front : random.next() < share;
+    const bool shows_minor = is_flat ? !is_front : random.material < share;
     hit.material = proxy.materials[shows_minor ? record.material_minor : record.material_major];
     // On the ray's side of all that the leaf holds, so that a lamp does not see itself.
     const float diagonal = glm::length(node.bounds.extent());
-    const float thickness = diagonal * static_cast<float>(record.thickness) / 255.0F;
+    const float thickness =
+        is_flat ? diagonal * static_cast<float>(record.thickness) / 255.0F : 0.0F;
     hit.position_error = std::max(kVoxelMargin, 0.5F * thickness);
     hit.position +=
         hit.normal_geometric * (facing * (hit.position_error + 2.0F * kPlaneTolerance * diagonal));
@@ -109,13 +117,19 @@ class TransportTracer {
   // The side of a surface is known where the leaf's normals agree; otherwise the ray sees its
   // front.
   [[nodiscard]] static Vec3 normal_at(const Ray& ray, const ProxyRecord& record, const Aabb& bounds,
-                                      LeafRandom& random) {
+                                      const LeafRandom& random) {
     const Vec3 mean = record_normal(record);
     const bool is_flat = (record.shape & kShapeFlat) != 0;
     const bool is_oriented = (record.shape & kShapeOriented) != 0;
     const float towards = glm::dot(mean, ray.direction);
     if (is_flat) { return !is_oriented && towards > 0.0F ? -mean : mean; }
     if (is_oriented && towards < 0.0F) { return mean; }
+    // What a ray sees of a sphere has normals around its own direction by their cosine.
+    const float roundness = static_cast<float>(record.thickness) / 255.0F;
+    if (random.face < roundness) {
+      const Vec3 local = cosine_direction(random.normal.x(), random.normal.y());
+      return OrthonormalFrame(-ray.direction).scene_from_local(local);
+    }
     // Facing one of the axes, as likely as the geometry's shadow along it is met.
     const Vec3 extent = bounds.extent();
     Vec3 weight;
@@ -123,7 +137,7 @@ class TransportTracer {
       weight[axis] = std::abs(ray.direction[axis]) / extent[axis] *
                      static_cast<float>(record.coverage[static_cast<std::size_t>(axis)]);
     }
-    float left = random.next() * (weight.x + weight.y + weight.z);
+    float left = random.normal.x() * (weight.x + weight.y + weight.z);
     int axis = 0;
     while (axis < 2 && left >= weight[axis]) { left -= weight[axis++]; }
     Vec3 normal(0.0F);
@@ -134,91 +148,121 @@ class TransportTracer {
   const PredictionInput& input_;
   const ProxyWalk& walk_;
   Shading shading_;
+  Rng leaf_rng_;
 };
 
-// How the image is sampled: strata of pixels, each with its paths.
-struct Strata {
-  std::uint32_t columns = 0;
-  std::uint32_t rows = 0;
-  std::uint32_t paths_each = 0;
-  [[nodiscard]] std::uint64_t paths() const { return std::uint64_t{columns} * rows * paths_each; }
-};
+// Sums of the batches, scaled from the paths traced to the samples of the image. What a batch says
+// of the whole is that many times its own count; the standard error of their mean overstates that
+// of the paths together, which complement each other.
+class Estimate {
+ public:
+  Estimate(const std::vector<Counts>& batches, std::size_t voxel_count, std::uint64_t paths,
+           double samples)
+      : batches_(batches), voxel_count_(voxel_count), paths_(paths), samples_(samples) {}
 
-Strata strata_of(const RenderSettings& settings) {
-  Strata strata;
-  strata.columns = std::min(kStrataPerSide, settings.width);
-  strata.rows = std::min(kStrataPerSide, settings.height);
-  const std::uint32_t wanted = kStrataPerSide * kStrataPerSide / (strata.columns * strata.rows);
-  strata.paths_each = std::clamp(wanted, 1U, settings.spp);
-  return strata;
-}
-
-void trace_stratum(const TransportTracer& tracer, const RenderSettings& settings,
-                   const Strata& strata, std::uint32_t stratum, Counts& counts) {
-  const std::uint32_t column = stratum % strata.columns;
-  const std::uint32_t row = stratum / strata.columns;
-  for (std::uint32_t i = 0; i < strata.paths_each; ++i) {
-    const std::uint32_t index = stratum * strata.paths_each + i;
-    LeafRandom random(~settings.seed, index);
-    const auto place = [&](std::uint32_t at, std::uint32_t strata_count, std::uint32_t size) {
-      const double position = (at + static_cast<double>(random.next())) * size / strata_count;
-      return std::min(static_cast<std::uint32_t>(position), size - 1);
-    };
-    const std::uint32_t x = place(column, strata.columns, settings.width);
-    const std::uint32_t y = place(row, strata.rows, settings.height);
-    const auto sample = static_cast<std::uint32_t>((static_cast<double>(random.next()) + i) *
-                                                   settings.spp / strata.paths_each);
-    tracer.trace(y * settings.width + x, std::min(sample, settings.spp - 1), index, counts);
-  }
-}
-
-Prediction scaled(const tbb::enumerable_thread_specific<Counts>& threads, std::size_t voxel_count,
-                  double scale) {
-  Counts sum(voxel_count);
-  for (const Counts& counts : threads) {
-    for (std::size_t type = 0; type < kRayTypes; ++type) {
-      sum.rays[type] += counts.rays[type];
-      for (std::size_t voxel = 0; voxel < voxel_count; ++voxel) {
-        sum.accesses[type][voxel] += counts.accesses[type][voxel];
+  [[nodiscard]] std::vector<double> accesses(RayType type) const {
+    std::vector<double> sum(voxel_count_, 0.0);
+    for (const Counts& batch : batches_) {
+      for (std::size_t voxel = 0; voxel < voxel_count_; ++voxel) {
+        sum[voxel] += batch.accesses[type][voxel];
       }
     }
+    for (double& value : sum) { value = scaled(value); }
+    return sum;
   }
-  const auto rays = [&](RayType type) {
-    std::vector<double> values(voxel_count);
-    for (std::size_t voxel = 0; voxel < voxel_count; ++voxel) {
-      values[voxel] = static_cast<double>(sum.accesses[type][voxel]) * (scale / kAccessUnit);
+
+  [[nodiscard]] double rays(RayType type) const {
+    std::uint64_t sum = 0;
+    for (const Counts& batch : batches_) { sum += batch.rays[type]; }
+    return scaled(static_cast<double>(sum));
+  }
+
+  [[nodiscard]] double rays_total_error() const {
+    Squares squares;
+    for (const Counts& batch : batches_) {
+      squares.add(
+          static_cast<double>(batch.rays[kCamera] + batch.rays[kScatter] + batch.rays[kShadow]));
     }
-    return values;
+    return scaled(squares.error_of_sum());
+  }
+
+  [[nodiscard]] std::vector<double> rays_error() const {
+    std::vector<Squares> squares(voxel_count_);
+    for (const Counts& batch : batches_) {
+      for (std::size_t voxel = 0; voxel < voxel_count_; ++voxel) {
+        squares[voxel].add(batch.accesses[kCamera][voxel] + batch.accesses[kScatter][voxel] +
+                           batch.accesses[kShadow][voxel]);
+      }
+    }
+    std::vector<double> errors;
+    errors.reserve(voxel_count_);
+    for (const Squares& of_voxel : squares) { errors.push_back(scaled(of_voxel.error_of_sum())); }
+    return errors;
+  }
+
+ private:
+  struct Squares {
+    double sum = 0.0;
+    double squares = 0.0;
+    void add(double count) {
+      sum += count;
+      squares += count * count;
+    }
+    // Standard error of the sum of kBatches independent counts.
+    [[nodiscard]] double error_of_sum() const {
+      constexpr double kCount = kBatches;
+      return std::sqrt(std::max(0.0, squares - sum * sum / kCount) * kCount / (kCount - 1.0));
+    }
   };
-  Prediction prediction;
-  prediction.rays_camera = rays(kCamera);
-  prediction.rays_scatter = rays(kScatter);
-  prediction.rays_shadow = rays(kShadow);
-  prediction.camera_total = static_cast<double>(sum.rays[kCamera]) * scale;
-  prediction.scatter_total = static_cast<double>(sum.rays[kScatter]) * scale;
-  prediction.shadow_total = static_cast<double>(sum.rays[kShadow]) * scale;
-  return prediction;
-}
+
+  [[nodiscard]] double scaled(double sum) const {
+    return sum * samples_ / static_cast<double>(paths_);
+  }
+
+  const std::vector<Counts>& batches_;
+  std::size_t voxel_count_;
+  std::uint64_t paths_;
+  double samples_;
+};
 
 }  // namespace
 
 Result<Prediction> predict_transport(const PredictionInput& input) {
   const Result<ProxyWalk> walk = ProxyWalk::create(input.tables, input.proxy);
   if (!walk) { return tl::unexpected<Error>(walk.error()); }
-  const RenderSettings& settings = input.settings;
+  const std::uint32_t paths_wanted = input.knobs.transport.paths;
+  if (paths_wanted > kTransportPathsMax) {
+    return fail(ExitCode::kUsage, "transport: " + std::to_string(paths_wanted) +
+                                      " paths, at most " + std::to_string(kTransportPathsMax));
+  }
+  const std::uint32_t batch_paths =
+      ((paths_wanted == 0 ? kPathsDefault : paths_wanted) + kBatches - 1) / kBatches;
   const TransportTracer tracer(input, *walk);
-  const Strata strata = strata_of(settings);
   const std::size_t voxel_count = input.tables.voxels.size();
-  tbb::enumerable_thread_specific<Counts> counts(voxel_count);
+  std::vector<Counts> batches(kBatches);
   tbb::task_arena arena(static_cast<int>(std::max(1U, input.threads)));
   arena.execute([&] {
-    tbb::parallel_for(0U, strata.columns * strata.rows, [&](std::uint32_t stratum) {
-      trace_stratum(tracer, settings, strata, stratum, counts.local());
+    tbb::parallel_for(0U, kBatches, [&](std::uint32_t batch) {
+      for (auto& type : batches[batch].accesses) { type.resize(voxel_count, 0.0); }
+      for (std::uint32_t i = 0; i < batch_paths; ++i) {
+        tracer.trace(batch * batch_paths + i, batches[batch]);
+      }
     });
   });
+  const RenderSettings& settings = input.settings;
   const double samples = static_cast<double>(settings.width) *
                          static_cast<double>(settings.height) * static_cast<double>(settings.spp);
-  return scaled(counts, voxel_count, samples / static_cast<double>(strata.paths()));
+  const Estimate estimate(batches, voxel_count, std::uint64_t{kBatches} * batch_paths, samples);
+  Prediction prediction;
+  prediction.rays_camera = estimate.accesses(kCamera);
+  prediction.rays_scatter = estimate.accesses(kScatter);
+  prediction.rays_shadow = estimate.accesses(kShadow);
+  prediction.camera_total = estimate.rays(kCamera);
+  prediction.scatter_total = estimate.rays(kScatter);
+  prediction.shadow_total = estimate.rays(kShadow);
+  prediction.rays_total_error = estimate.rays_total_error();
+  prediction.rays_error = estimate.rays_error();
+  return prediction;
 }
 
 }  // namespace preheat

@@ -6,6 +6,7 @@
 #include <bit>
 #include <cmath>
 #include <cstring>
+#include <numeric>
 #include <string>
 #include <type_traits>
 #include <unordered_map>
@@ -26,28 +27,31 @@ constexpr std::size_t kPieceVerticesMax = 9;  // a triangle cut by the six faces
 struct Piece {
   std::uint32_t material = 0;
   bool emits = false;
-  std::uint32_t count = 0;
+  std::uint8_t count = 0;
+  float twice_area = 0.0F;
+  Vec3 normal{0.0F};  // as long as twice_area
   std::array<Vec3, kPieceVerticesMax> vertices{};
 
   void add(const Vec3& vertex) {
     if (count < kPieceVerticesMax) { vertices[count++] = vertex; }
   }
+  void measure() {
+    normal = Vec3(0.0F);
+    for (std::uint32_t i = 2; i < count; ++i) {
+      normal += glm::cross(vertices[i - 1] - vertices[0], vertices[i] - vertices[0]);
+    }
+    twice_area = glm::length(normal);
+  }
+  // False where rounding leaves nothing but a sliver.
+  [[nodiscard]] bool has_area() const { return count >= 3 && twice_area > 0.0F; }
 };
 
-// Twice the area times the unit normal.
-Vec3 area_vector(const Piece& piece) {
-  Vec3 sum(0.0F);
-  for (std::uint32_t i = 2; i < piece.count; ++i) {
-    sum += glm::cross(piece.vertices[i - 1] - piece.vertices[0],
-                      piece.vertices[i] - piece.vertices[0]);
-  }
-  return sum;
-}
-
-// Both parts of a piece beside the plane x[axis] = at. A piece in the plane is wholly below.
+// Both parts of a piece beside the plane x[axis] = at, not measured where they are new. A piece in
+// the plane is wholly below.
 void split_piece(const Piece& piece, int axis, float at, Piece& below, Piece& above) {
-  below = {piece.material, piece.emits, 0, {}};
-  above = {piece.material, piece.emits, 0, {}};
+  below.material = above.material = piece.material;
+  below.emits = above.emits = piece.emits;
+  below.count = above.count = 0;
   bool has_below = false;
   bool has_above = false;
   for (std::uint32_t i = 0; i < piece.count; ++i) {
@@ -79,10 +83,10 @@ void split_piece(const Piece& piece, int axis, float at, Piece& below, Piece& ab
   }
 }
 
-float lowest(const Piece& piece, int axis) {
-  float low = kInfinity;
-  for (std::uint32_t i = 0; i < piece.count; ++i) { low = std::min(low, piece.vertices[i][axis]); }
-  return low;
+Aabb bounds_of(const Piece& piece) {
+  Aabb bounds;
+  for (std::uint32_t i = 0; i < piece.count; ++i) { bounds.extend(piece.vertices[i]); }
+  return bounds;
 }
 
 std::vector<Piece> pieces_in_cell(const Scene& scene, std::span<const std::uint32_t> triangles,
@@ -92,154 +96,177 @@ std::vector<Piece> pieces_in_cell(const Scene& scene, std::span<const std::uint3
   for (const std::uint32_t id : triangles) {
     const Triangle& triangle = scene.triangles[id];
     const bool emits = scene.materials[triangle.material].emission != Vec3(0.0F);
-    Piece piece{triangle.material, emits, 0, {}};
+    Piece piece;
+    piece.material = triangle.material;
+    piece.emits = emits;
     for (const std::uint32_t vertex : triangle.vertices) { piece.add(scene.positions[vertex]); }
+    // What lies in the lower face belongs to this cell too, as a voxel's triangles do: a wall
+    // between two voxels stops the rays of both.
+    const Aabb bounds = bounds_of(piece);
+    Piece kept;
+    Piece outside;
     for (int axis = 0; axis < 3; ++axis) {
-      Piece kept;
-      Piece outside;
-      split_piece(piece, axis, cell.high[axis], kept, outside);
-      piece = kept;
-      // What lies in the lower face belongs to this cell too, as a voxel's triangles do: a wall
-      // between two voxels stops the rays of both.
-      if (lowest(piece, axis) < cell.low[axis]) {
-        split_piece(kept, axis, cell.low[axis], outside, piece);
+      if (bounds.high[axis] > cell.high[axis]) {
+        split_piece(piece, axis, cell.high[axis], kept, outside);
+        piece = kept;
+      }
+      if (bounds.low[axis] < cell.low[axis]) {
+        split_piece(piece, axis, cell.low[axis], outside, kept);
+        piece = kept;
       }
     }
-    if (piece.count >= 3 && area_vector(piece) != Vec3(0.0F)) { pieces.push_back(piece); }
+    piece.measure();
+    if (piece.has_area()) { pieces.push_back(piece); }
   }
   return pieces;
 }
 
 // ---- the shadow of pieces on a face of their bounds ----
 
-// Looks along an axis at a face of the bounds with kSize x kSize samples, at the middle of as many
-// squares.
-template <unsigned kSize>
-class Raster {
- public:
-  // The height over the face of a plane at the samples.
-  struct SeenPlane {
-    float origin = 0.0F;
-    float per_column = 0.0F;
-    float per_row = 0.0F;
-    [[nodiscard]] float at(unsigned column, unsigned row) const {
-      return origin + per_column * static_cast<float>(column) + per_row * static_cast<float>(row);
-    }
-  };
-
-  Raster(const Aabb& bounds, const FlatAxes& axes) : bounds_(bounds), axes_(axes) {
-    const Vec3 extent = bounds.extent();
-    scale_u_ = static_cast<float>(kSize) / extent[axes.u];
-    scale_v_ = static_cast<float>(kSize) / extent[axes.v];
-  }
-
-  // Calls visit(row, columns) for each row where the piece covers samples; bit i: column i.
-  template <class Visit>
-  void for_each_row(const Piece& piece, Visit&& visit) const {
-    Coordinates u{};
-    Coordinates v{};
-    float v_low = kInfinity;
-    float v_high = -kInfinity;
-    for (std::uint32_t i = 0; i < piece.count; ++i) {
-      u[i] = (piece.vertices[i][axes_.u] - bounds_.low[axes_.u]) * scale_u_ - 0.5F;
-      v[i] = (piece.vertices[i][axes_.v] - bounds_.low[axes_.v]) * scale_v_ - 0.5F;
-      v_low = std::min(v_low, v[i]);
-      v_high = std::max(v_high, v[i]);
-    }
-    const auto row_begin = static_cast<unsigned>(std::ceil(std::max(v_low, 0.0F)));
-    for (unsigned row = row_begin; row < kSize && static_cast<float>(row) <= v_high; ++row) {
-      const unsigned columns = row_bits(piece.count, u, v, static_cast<float>(row));
-      if (columns != 0) { visit(row, columns); }
-    }
-  }
-
-  void add(const Piece& piece) {
-    for_each_row(piece, [this](unsigned row, unsigned columns) { rows_[row] |= columns; });
-  }
-
-  // The sample's place on the face.
-  [[nodiscard]] float u_of(unsigned column) const {
-    return bounds_.low[axes_.u] + (static_cast<float>(column) + 0.5F) / scale_u_;
-  }
-  [[nodiscard]] float v_of(unsigned row) const {
-    return bounds_.low[axes_.v] + (static_cast<float>(row) + 0.5F) / scale_v_;
-  }
-
-  [[nodiscard]] int covered() const {
-    int sum = 0;
-    for (const unsigned row : rows_) { sum += std::popcount(row); }
-    return sum;
-  }
-
-  // The covered ones of 8 x 8 squares.
-  [[nodiscard]] std::uint64_t mask() const {
-    std::uint64_t bits = 0;
-    for (unsigned row = 0; row < kSize; ++row) {
-      for (unsigned left = rows_[row]; left != 0; left &= left - 1) {
-        const auto column = static_cast<unsigned>(std::countr_zero(left));
-        bits |= std::uint64_t{1} << flat_bit(column * 8 / kSize, row * 8 / kSize);
-      }
-    }
-    return bits;
-  }
-
-  // How many samples in the mask see the plane inside the bounds.
-  [[nodiscard]] int plane_samples(std::uint64_t mask, const SeenPlane& plane) const {
-    int sum = 0;
-    for (unsigned row = 0; row < kSize; ++row) {
-      for (unsigned column = 0; column < kSize; ++column) {
-        if ((mask >> flat_bit(column * 8 / kSize, row * 8 / kSize) & 1U) == 0) { continue; }
-        const float height = plane.at(column, row);
-        if (height >= bounds_.low[axes_.axis] && height <= bounds_.high[axes_.axis]) { ++sum; }
-      }
-    }
-    return sum;
-  }
-
-  // Requires: the plane is not seen edge-on.
-  [[nodiscard]] SeenPlane see(const Vec3& normal, float offset) const {
-    const float reciprocal = 1.0F / normal[axes_.axis];
-    SeenPlane plane;
-    plane.per_column = -normal[axes_.u] * reciprocal / scale_u_;
-    plane.per_row = -normal[axes_.v] * reciprocal / scale_v_;
-    plane.origin = (offset - normal[axes_.u] * u_of(0) - normal[axes_.v] * v_of(0)) * reciprocal;
-    return plane;
-  }
-
- private:
-  using Coordinates = std::array<float, kPieceVerticesMax>;
-
-  [[nodiscard]] static unsigned row_bits(std::uint32_t count, const Coordinates& u,
-                                         const Coordinates& v, float row) {
-    float u_low = kInfinity;
-    float u_high = -kInfinity;
-    for (std::uint32_t i = 0; i < count; ++i) {
-      const std::uint32_t next = i + 1 == count ? 0 : i + 1;
-      if ((v[i] <= row) == (v[next] <= row)) { continue; }
-      const float at = u[i] + (u[next] - u[i]) * ((row - v[i]) / (v[next] - v[i]));
-      u_low = std::min(u_low, at);
-      u_high = std::max(u_high, at);
-    }
-    const float from = std::ceil(std::max(u_low, 0.0F));
-    const float to = std::floor(std::min(u_high, static_cast<float>(kSize - 1)));
-    if (!(from <= to)) { return 0; }
-    const auto first = static_cast<unsigned>(from);
-    const auto last = static_cast<unsigned>(to);
-    return ((2U << last) - 1U) & ~((1U << first) - 1U);
-  }
-
-  const Aabb& bounds_;
-  FlatAxes axes_;
-  float scale_u_ = 0.0F;
-  float scale_v_ = 0.0F;
-  std::array<unsigned, kSize> rows_{};
-};
-
 FlatAxes axes_along(int axis) { return {axis, axis == 2 ? 0 : axis + 1, axis == 0 ? 2 : axis - 1}; }
 
 std::uint8_t code_255(float share) {
   return static_cast<std::uint8_t>(std::clamp(share, 0.0F, 1.0F) * 255.0F + 0.5F);
 }
+
+// A face of the bounds is looked at with so many samples a side, at the middle of as many squares.
+constexpr unsigned kSamples = 16;
+constexpr float kLastSample = static_cast<float>(kSamples - 1);
+
+// For small numbers of either sign; std::ceil is a call into the C library.
+int ceil_of(float x) {
+  const int truncated = static_cast<int>(x);
+  return truncated + (static_cast<float>(truncated) < x ? 1 : 0);
+}
+int floor_of(float x) {
+  const int truncated = static_cast<int>(x);
+  return truncated - (static_cast<float>(truncated) > x ? 1 : 0);
+}
+
+// The frame in which the samples of all six faces of the bounds have the coordinates 0 to
+// kSamples - 1.
+struct SampleFrame {
+  explicit SampleFrame(const Aabb& bounds)
+      : low(bounds.low), scale(Vec3(static_cast<float>(kSamples)) / bounds.extent()) {}
+  [[nodiscard]] Vec3 point(const Vec3& scene) const { return (scene - low) * scale - 0.5F; }
+  // Of a plane, any length.
+  [[nodiscard]] Vec3 normal(const Vec3& scene) const { return scene / scale; }
+
+  Vec3 low;
+  Vec3 scale;
+};
+
+// How high over a face's samples a plane lies, in the sample frame.
+struct SeenPlane {
+  // `normal` in the sample frame, not edge-on.
+  SeenPlane(const FlatAxes& axes, const Vec3& normal, const Vec3& point) {
+    const float reciprocal = 1.0F / normal[axes.axis];
+    per_column = -normal[axes.u] * reciprocal;
+    per_row = -normal[axes.v] * reciprocal;
+    origin = point[axes.axis] - per_column * point[axes.u] - per_row * point[axes.v];
+  }
+  [[nodiscard]] float at(int column, int row) const {
+    return origin + per_column * static_cast<float>(column) + per_row * static_cast<float>(row);
+  }
+  float origin = 0.0F;
+  float per_column = 0.0F;
+  float per_row = 0.0F;
+};
+
+// A piece in the sample frame.
+struct SampledPiece {
+  SampledPiece(const Piece& piece, const SampleFrame& frame)
+      : material(piece.material), count(piece.count), normal(frame.normal(piece.normal)) {
+    for (std::uint32_t i = 0; i < count; ++i) {
+      vertices[i] = frame.point(piece.vertices[i]);
+      low = glm::min(low, vertices[i]);
+      high = glm::max(high, vertices[i]);
+    }
+  }
+
+  // Calls visit(row, first, last) for each row in which the piece covers samples of the face.
+  template <class Visit>
+  void for_each_row(const FlatAxes& axes, Visit&& visit) const {
+    const int row_first = ceil_of(std::max(low[axes.v], 0.0F));
+    const int row_last = floor_of(std::min(high[axes.v], kLastSample));
+    const int column_first = ceil_of(std::max(low[axes.u], 0.0F));
+    if (row_first > row_last || static_cast<float>(column_first) > high[axes.u]) { return; }
+    for (int row = row_first; row <= row_last; ++row) {
+      const auto at = static_cast<float>(row);
+      float from = kInfinity;
+      float to = -kInfinity;
+      for (std::uint32_t i = 0; i < count; ++i) {
+        const Vec3& a = vertices[i];
+        const Vec3& b = vertices[i + 1 == count ? 0 : i + 1];
+        if ((a[axes.v] <= at) == (b[axes.v] <= at)) { continue; }
+        const float u =
+            a[axes.u] + (b[axes.u] - a[axes.u]) * ((at - a[axes.v]) / (b[axes.v] - a[axes.v]));
+        from = std::min(from, u);
+        to = std::max(to, u);
+      }
+      if (!(from <= to)) { continue; }
+      const int first = ceil_of(std::clamp(from, 0.0F, kLastSample + 1.0F));
+      const int last = floor_of(std::clamp(to, -1.0F, kLastSample));
+      if (first <= last) { visit(row, first, last); }
+    }
+  }
+
+  std::uint32_t material;
+  std::uint32_t count;
+  Vec3 normal;
+  Vec3 low{kInfinity};
+  Vec3 high{-kInfinity};
+  std::array<Vec3, kPieceVerticesMax> vertices{};
+};
+
+// One bit for every sample of a face.
+class SampleBits {
+ public:
+  void add(int row, int first, int last) {
+    rows_[static_cast<std::size_t>(row)] |= run(first, last);
+  }
+
+  [[nodiscard]] int count() const {
+    int sum = 0;
+    for (const unsigned row : rows_) { sum += std::popcount(row); }
+    return sum;
+  }
+
+  // By flat_bit, how many of its samples each of 8 x 8 squares holds.
+  [[nodiscard]] std::array<std::uint8_t, 64> squares() const {
+    std::array<std::uint8_t, 64> counts{};
+    for (unsigned row = 0; row < kSamples; ++row) {
+      for (unsigned left = rows_[row]; left != 0; left &= left - 1) {
+        const auto column = static_cast<unsigned>(std::countr_zero(left));
+        ++counts[flat_bit(column * 8 / kSamples, row * 8 / kSamples)];
+      }
+    }
+    return counts;
+  }
+
+  // How many samples in the mask see the plane inside the bounds.
+  [[nodiscard]] static int count_plane(std::uint64_t mask, const SeenPlane& plane) {
+    int sum = 0;
+    for (int row = 0; row < static_cast<int>(kSamples); ++row) {
+      for (int column = 0; column < static_cast<int>(kSamples); ++column) {
+        const unsigned bit = flat_bit(static_cast<unsigned>(column) * 8 / kSamples,
+                                      static_cast<unsigned>(row) * 8 / kSamples);
+        if ((mask >> bit & 1U) == 0) { continue; }
+        const float height = plane.at(column, row);
+        if (height >= -0.5F && height <= kLastSample + 0.5F) { ++sum; }
+      }
+    }
+    return sum;
+  }
+
+ private:
+  [[nodiscard]] static unsigned run(int first, int last) {
+    return ((2U << static_cast<unsigned>(last)) - 1U) &
+           ~((1U << static_cast<unsigned>(first)) - 1U);
+  }
+
+  std::array<unsigned, kSamples> rows_{};
+};
 
 // ---- the blocks of a scattered leaf ----
 
@@ -277,6 +304,23 @@ float block_coverage(const std::array<int, 5>& columns, float covered) {
 
 // ---- summaries ----
 
+// Some of a voxel's pieces.
+struct Selection {
+  const std::vector<Piece>& pieces;
+  std::span<const std::uint32_t> indices;
+
+  template <class Visit>
+  void for_each(Visit&& visit) const {
+    for (const std::uint32_t index : indices) { visit(pieces[index]); }
+  }
+  [[nodiscard]] const Piece& first() const { return pieces[indices[0]]; }
+  [[nodiscard]] bool has_one_material() const {
+    return std::all_of(indices.begin(), indices.end(), [this](std::uint32_t index) {
+      return pieces[index].material == first().material;
+    });
+  }
+};
+
 // A flat leaf's geometry stays within this share of the bounds' diagonal across its plane, and its
 // normals agree at least this much.
 constexpr float kFlatThicknessMax = 0.2F;
@@ -305,38 +349,34 @@ struct Normals {
   double area_emitting = 0.0;
 };
 
-Normals normals_of(std::span<const Piece> pieces) {
+Normals normals_of(const Selection& selection) {
   Normals normals;
-  Vec3d projected(0.0);
+  Vec3 projected(0.0F);
+  selection.for_each([&](const Piece& piece) { projected += glm::abs(piece.normal); });
+  const int dominant = flat_axes(projected).axis;
   Vec3d signed_sum(0.0);
-  double area = 0.0;
-  for (const Piece& piece : pieces) {
-    const Vec3d vector(area_vector(piece));
-    area += glm::length(vector);
-    if (piece.emits) { normals.area_emitting += glm::length(vector); }
-    projected += glm::abs(vector);
-    signed_sum += vector;
-  }
-  const int dominant = flat_axes(Vec3(projected)).axis;
   Vec3d turned_sum(0.0);
-  for (const Piece& piece : pieces) {
-    const Vec3d vector(area_vector(piece));
+  selection.for_each([&](const Piece& piece) {
+    const Vec3d vector(piece.normal);
+    const auto area = static_cast<double>(piece.twice_area);
+    normals.area += area;
+    if (piece.emits) { normals.area_emitting += area; }
+    signed_sum += vector;
     turned_sum += vector[dominant] < 0.0 ? -vector : vector;
-  }
-  normals.area = area;
+  });
   const double signed_length = glm::length(signed_sum);
   const double turned_length = glm::length(turned_sum);
-  normals.oriented = signed_length > 0.6 * area;
-  normals.agreement = static_cast<float>(turned_length / area);
+  normals.oriented = signed_length > 0.6 * normals.area;
+  normals.agreement = static_cast<float>(turned_length / normals.area);
   normals.mean = Vec3(normals.oriented ? signed_sum / signed_length : turned_sum / turned_length);
   return normals;
 }
 
-Aabb bounds_of(std::span<const Piece> pieces) {
+Aabb bounds_of(const Selection& selection) {
   Aabb bounds;
-  for (const Piece& piece : pieces) {
+  selection.for_each([&](const Piece& piece) {
     for (std::uint32_t i = 0; i < piece.count; ++i) { bounds.extend(piece.vertices[i]); }
-  }
+  });
   return bounds;
 }
 
@@ -396,45 +436,39 @@ class SeenMaterials {
   unsigned total_ = 0;
 };
 
-// Which materials are seen of the pieces from both sides along an axis, and the blocks they are in.
-class Look {
+// Which materials the samples of a face and of the one opposite see.
+class SeenSides {
  public:
-  static constexpr unsigned kSize = 8;
-
-  Look(const Aabb& bounds, const FlatAxes& axes)
-      : bounds_(bounds), axes_(axes), raster_(bounds, axes) {
+  SeenSides() {
     low_.fill({kInfinity, 0});
     high_.fill({-kInfinity, 0});
-    block_scale_ = 4.0F / bounds.extent()[axes.axis];
   }
 
-  // `normal` of any length.
-  void add(const Piece& piece, const Vec3& normal) {
-    if (normal[axes_.axis] == 0.0F) { return; }
-    const auto plane = raster_.see(normal, glm::dot(normal, piece.vertices[0]));
-    raster_.for_each_row(piece, [&](unsigned row, unsigned columns) {
-      for (; columns != 0; columns &= columns - 1) {
-        const auto column = static_cast<unsigned>(std::countr_zero(columns));
+  void add(const SampledPiece& piece, const FlatAxes& axes) {
+    if (piece.normal[axes.axis] == 0.0F) { return; }
+    const SeenPlane plane(axes, piece.normal, piece.vertices[0]);
+    piece.for_each_row(axes, [&](int row, int first, int last) {
+      for (int column = first; column <= last; ++column) {
         const float height = plane.at(column, row);
-        Sample& low = low_[row * kSize + column];
-        Sample& high = high_[row * kSize + column];
+        Sample& low =
+            low_[static_cast<std::size_t>(row) * kSamples + static_cast<std::size_t>(column)];
+        Sample& high =
+            high_[static_cast<std::size_t>(row) * kSamples + static_cast<std::size_t>(column)];
         if (height < low.height) { low = {height, piece.material}; }
         if (height > high.height) { high = {height, piece.material}; }
-        mark(column / 2, row / 2, height);
       }
     });
   }
 
   void see_from_below(SeenMaterials& materials) const { see(low_, materials); }
   void see_from_above(SeenMaterials& materials) const { see(high_, materials); }
-  [[nodiscard]] std::uint64_t blocks() const { return blocks_; }
 
  private:
   struct Sample {
     float height = 0.0F;
     std::uint32_t material = 0;
   };
-  using Samples = std::array<Sample, std::size_t{kSize} * kSize>;
+  using Samples = std::array<Sample, std::size_t{kSamples} * kSamples>;
 
   static void see(const Samples& samples, SeenMaterials& materials) {
     for (const Sample& sample : samples) {
@@ -442,23 +476,30 @@ class Look {
     }
   }
 
-  void mark(unsigned u, unsigned v, float height) {
-    std::array<unsigned, 3> at{};
-    at[static_cast<std::size_t>(axes_.u)] = u;
-    at[static_cast<std::size_t>(axes_.v)] = v;
-    at[static_cast<std::size_t>(axes_.axis)] = static_cast<unsigned>(
-        std::clamp((height - bounds_.low[axes_.axis]) * block_scale_, 0.0F, 3.0F));
-    blocks_ |= std::uint64_t{1} << block_bit(at[0], at[1], at[2]);
-  }
-
-  const Aabb& bounds_;
-  FlatAxes axes_;
-  Raster<kSize> raster_;
   Samples low_;
   Samples high_;
-  float block_scale_ = 0.0F;
-  std::uint64_t blocks_ = 0;
 };
+
+// The blocks, 4 x 4 x 4, that hold the piece where the samples of a face see it.
+std::uint64_t blocks_seen(const SampledPiece& piece, const FlatAxes& axes, SampleBits& bits) {
+  constexpr float kBlocksPerSample = 4.0F / static_cast<float>(kSamples);
+  std::uint64_t blocks = 0;
+  const bool is_edge_on = piece.normal[axes.axis] == 0.0F;
+  const SeenPlane plane(axes, piece.normal, piece.vertices[0]);
+  piece.for_each_row(axes, [&](int row, int first, int last) {
+    bits.add(row, first, last);
+    if (is_edge_on) { return; }
+    std::array<unsigned, 3> at{};
+    at[static_cast<std::size_t>(axes.v)] = static_cast<unsigned>(row) * 4 / kSamples;
+    for (int column = first; column <= last; ++column) {
+      at[static_cast<std::size_t>(axes.u)] = static_cast<unsigned>(column) * 4 / kSamples;
+      at[static_cast<std::size_t>(axes.axis)] = static_cast<unsigned>(
+          std::clamp((plane.at(column, row) + 0.5F) * kBlocksPerSample, 0.0F, 3.0F));
+      blocks |= std::uint64_t{1} << block_bit(at[0], at[1], at[2]);
+    }
+  });
+  return blocks;
+}
 
 // The mean distance of the pieces along the normal, and the range of their vertices.
 struct Spread {
@@ -466,23 +507,23 @@ struct Spread {
   float range = 0.0F;
 };
 
-Spread spread_along(const Vec3& normal, std::span<const Piece> pieces) {
+Spread spread_along(const Vec3& normal, const Selection& selection) {
   float low = kInfinity;
   float high = -kInfinity;
   double sum = 0.0;
   double weight = 0.0;
-  for (const Piece& piece : pieces) {
-    double middle = 0.0;
+  selection.for_each([&](const Piece& piece) {
+    float middle = 0.0F;
     for (std::uint32_t i = 0; i < piece.count; ++i) {
       const float distance = glm::dot(normal, piece.vertices[i]);
       low = std::min(low, distance);
       high = std::max(high, distance);
-      middle += static_cast<double>(distance);
+      middle += distance;
     }
-    const double area = glm::length(Vec3d(area_vector(piece)));
-    sum += area * middle / static_cast<double>(piece.count);
+    const auto area = static_cast<double>(piece.twice_area);
+    sum += area * static_cast<double>(middle) / static_cast<double>(piece.count);
     weight += area;
-  }
+  });
   return {static_cast<float>(sum / weight), high - low};
 }
 
@@ -504,8 +545,79 @@ constexpr float kMaterialWeight = 0.5F;
 constexpr float kLampWeight = 4.0F;
 
 // Each returns what the record cannot tell.
-float set_flat(Summary& summary, std::span<const Piece> pieces, const Spread& spread,
-               const Aabb& bounds) {
+float set_flat_materials(Summary& summary, const Selection& selection, const SampleFrame& frame,
+                         const Vec3& normal) {
+  const FlatAxes axes = flat_axes(normal);
+  SeenSides sides;
+  selection.for_each([&](const Piece& piece) { sides.add(SampledPiece(piece, frame), axes); });
+  SeenMaterials above;
+  SeenMaterials below;
+  sides.see_from_above(above);
+  sides.see_from_below(below);
+  if (above.empty()) { return 0.0F; }
+  const bool is_up = normal[axes.axis] > 0.0F;
+  const auto front = (is_up ? above : below).most();
+  const auto back = (is_up ? below : above).most();
+  summary.materials = {front[0].material, back[0].material};
+  return kMaterialWeight * (above.share(front[1].times) + below.share(back[1].times));
+}
+
+// What of a plane is there.
+struct PlaneCover {
+  std::uint64_t mask = 0;
+  float coverage = 1.0F;  // of each square in the mask
+  float unknown = 0.0F;   // share of all samples for which that is wrong
+};
+
+// Opaque squares, as many as the covered samples fill and where they are densest: a wall must not
+// let a share of all rays through because it has a door. Where that places too many samples
+// wrongly, as on a grating, every square that holds any is partly transparent instead.
+PlaneCover cover_plane(const SampleBits& bits, const SeenPlane& plane) {
+  constexpr int kSquareSamples = static_cast<int>(kSamples * kSamples) / 64;
+  constexpr float kAllSamples = static_cast<float>(kSamples * kSamples);
+  constexpr float kMisplacedMax = 0.25F;
+  const std::array<std::uint8_t, 64> squares = bits.squares();
+  std::array<int, kSquareSamples + 1> with_count{};
+  std::uint64_t any = 0;
+  int covered = 0;
+  for (std::size_t square = 0; square < squares.size(); ++square) {
+    ++with_count[squares[square]];
+    covered += squares[square];
+    if (squares[square] > 0) { any |= std::uint64_t{1} << square; }
+  }
+  PlaneCover opaque;
+  int left = (covered + kSquareSamples / 2) / kSquareSamples;
+  int misplaced = 0;
+  for (int count = kSquareSamples; count > 0; --count) {
+    const int candidates = with_count[static_cast<std::size_t>(count)];
+    const int taken = std::min(left, candidates);
+    left -= taken;
+    misplaced += taken * (kSquareSamples - count) + (candidates - taken) * count;
+    // Spread over the candidates.
+    int seen = 0;
+    for (std::size_t square = 0; taken > 0 && square < squares.size(); ++square) {
+      if (squares[square] != count) { continue; }
+      if ((seen + 1) * taken / candidates > seen * taken / candidates) {
+        opaque.mask |= std::uint64_t{1} << square;
+      }
+      ++seen;
+    }
+  }
+  opaque.unknown = static_cast<float>(misplaced) / kAllSamples;
+  if (opaque.mask != 0 &&
+      static_cast<float>(misplaced) <= kMisplacedMax * static_cast<float>(covered)) {
+    return opaque;
+  }
+  const int samples = SampleBits::count_plane(any, plane);
+  const float coverage =
+      samples > 0 ? std::min(1.0F, static_cast<float>(covered) / static_cast<float>(samples))
+                  : 0.0F;
+  const float share = static_cast<float>(std::popcount(any)) / 64.0F;
+  return {any, coverage, share * coverage * (1.0F - coverage)};
+}
+
+float set_flat(Summary& summary, const Selection& selection, const Spread& spread,
+               const Aabb& bounds, bool has_one_material) {
   ProxyRecord& record = summary.record;
   const Vec3 normal = record_normal(record);
   const PlaneRange range = plane_range(normal, bounds);
@@ -518,85 +630,104 @@ float set_flat(Summary& summary, std::span<const Piece> pieces, const Spread& sp
       static_cast<std::uint8_t>(std::ceil(std::min(thickness, 1.0F) * 255.0F - 0.05F));
 
   const FlatAxes axes = flat_axes(normal);
-  Raster<16> raster(bounds, axes);
-  Look look(bounds, axes);
-  for (const Piece& piece : pieces) {
-    raster.add(piece);
-    look.add(piece, area_vector(piece));
-  }
-  const std::uint64_t mask = raster.mask();
-  store_mask(record, mask);
-  const int samples =
-      raster.plane_samples(mask, raster.see(normal, record_plane_offset(record, normal, bounds)));
-  const float covered =
-      samples > 0 ? static_cast<float>(raster.covered()) / static_cast<float>(samples) : 0.0F;
-  record.coverage[0] = code_255(covered);
-
-  SeenMaterials above;
-  SeenMaterials below;
-  look.see_from_above(above);
-  look.see_from_below(below);
-  const bool is_up = normal[axes.axis] > 0.0F;
-  const auto front = (is_up ? above : below).most();
-  const auto back = (is_up ? below : above).most();
-  if (!above.empty()) { summary.materials = {front[0].material, back[0].material}; }
-  const float squares = static_cast<float>(std::popcount(mask)) / 64.0F;
-  return thickness + squares * std::max(0.0F, covered * (1.0F - covered)) +
-         kMaterialWeight * (above.share(front[1].times) + below.share(back[1].times));
+  const SampleFrame frame(bounds);
+  SampleBits bits;
+  selection.for_each([&](const Piece& piece) {
+    SampledPiece(piece, frame).for_each_row(axes, [&](int row, int first, int last) {
+      bits.add(row, first, last);
+    });
+  });
+  const Vec3 on_plane = normal * record_plane_offset(record, normal, bounds);
+  const PlaneCover cover =
+      cover_plane(bits, SeenPlane(axes, frame.normal(normal), frame.point(on_plane)));
+  store_mask(record, cover.mask);
+  record.coverage[0] = code_255(cover.coverage);
+  const float unknown = thickness + cover.unknown;
+  return has_one_material ? unknown
+                          : unknown + set_flat_materials(summary, selection, frame, normal);
 }
 
-float set_scattered(Summary& summary, std::span<const Piece> pieces, const Aabb& bounds) {
-  ProxyRecord& record = summary.record;
-  std::array<Look, 3> looks{Look(bounds, axes_along(0)), Look(bounds, axes_along(1)),
-                            Look(bounds, axes_along(2))};
-  std::array<Raster<16>, 3> rasters{Raster<16>(bounds, axes_along(0)),
-                                    Raster<16>(bounds, axes_along(1)),
-                                    Raster<16>(bounds, axes_along(2))};
-  for (const Piece& piece : pieces) {
-    const Vec3 normal = area_vector(piece);
-    for (Look& look : looks) { look.add(piece, normal); }
-    for (Raster<16>& raster : rasters) { raster.add(piece); }
-  }
-  const std::uint64_t blocks = looks[0].blocks() | looks[1].blocks() | looks[2].blocks();
-  store_mask(record, blocks);
+float set_scattered_materials(Summary& summary, const Selection& selection,
+                              const SampleFrame& frame) {
+  std::array<SeenSides, 3> sides;
+  selection.for_each([&](const Piece& piece) {
+    const SampledPiece sampled(piece, frame);
+    for (int axis = 0; axis < 3; ++axis) {
+      sides[static_cast<std::size_t>(axis)].add(sampled, axes_along(axis));
+    }
+  });
   SeenMaterials materials;
+  for (const SeenSides& pair : sides) {
+    pair.see_from_above(materials);
+    pair.see_from_below(materials);
+  }
+  if (materials.empty()) { return 0.0F; }
+  const auto most = materials.most();
+  summary.materials = {most[0].material, most[1].material};
+  summary.record.minor_share = code_255(static_cast<float>(most[1].times) /
+                                        static_cast<float>(most[0].times + most[1].times));
+  return kMaterialWeight * materials.share(most[1].times);
+}
+
+// 0 where all normals lie along axes, 1 where they are as those of a sphere, whose |x| + |y| + |z|
+// is 3/2 on average, or further from the axes yet.
+float roundness_of(const Selection& selection) {
+  float sum = 0.0F;
+  float area = 0.0F;
+  selection.for_each([&](const Piece& piece) {
+    const Vec3 normal = glm::abs(piece.normal);
+    sum += normal.x + normal.y + normal.z;
+    area += piece.twice_area;
+  });
+  return std::clamp(2.0F * (sum / area - 1.0F), 0.0F, 1.0F);
+}
+
+float set_scattered(Summary& summary, const Selection& selection, const Aabb& bounds,
+                    bool has_one_material) {
+  ProxyRecord& record = summary.record;
+  const SampleFrame frame(bounds);
+  std::array<SampleBits, 3> bits;
+  std::uint64_t blocks = 0;
+  selection.for_each([&](const Piece& piece) {
+    const SampledPiece sampled(piece, frame);
+    for (int axis = 0; axis < 3; ++axis) {
+      blocks |= blocks_seen(sampled, axes_along(axis), bits[static_cast<std::size_t>(axis)]);
+    }
+  });
+  store_mask(record, blocks);
+  record.thickness = code_255(roundness_of(selection));
   float unknown = 0.0F;
   for (int axis = 0; axis < 3; ++axis) {
     const auto i = static_cast<std::size_t>(axis);
-    looks[i].see_from_above(materials);
-    looks[i].see_from_below(materials);
     const std::array<int, 5> columns = column_heights(blocks, axis);
     const float stopped =
-        block_coverage(columns, static_cast<float>(rasters[i].covered()) / 256.0F);
+        block_coverage(columns, static_cast<float>(bits[i].count()) / (kSamples * kSamples));
     record.coverage[i] = code_255(stopped);
     const float occupied = static_cast<float>(16 - columns[0]) / 16.0F;
     unknown += occupied * (0.25F + stopped * (1.0F - stopped)) / 3.0F;
   }
-  const auto most = materials.most();
-  if (!materials.empty()) { summary.materials = {most[0].material, most[1].material}; }
-  record.minor_share = code_255(static_cast<float>(most[1].times) /
-                                static_cast<float>(std::max(1U, most[0].times + most[1].times)));
-  return unknown + kMaterialWeight * materials.share(most[1].times);
+  return has_one_material ? unknown : unknown + set_scattered_materials(summary, selection, frame);
 }
 
-Summary summarise(std::span<const Piece> pieces, const Aabb& cell) {
+Summary summarise(const Selection& selection, const Aabb& cell) {
   Summary summary;
   ProxyRecord& record = summary.record;
-  if (pieces.empty()) { return summary; }
-  const Aabb tight = bounds_of(pieces);
+  if (selection.indices.empty()) { return summary; }
+  const Aabb tight = bounds_of(selection);
   set_bounds(record, tight, cell);
-  summary.materials = {pieces[0].material, pieces[0].material};
+  summary.materials = {selection.first().material, selection.first().material};
   const Aabb bounds = record_bounds(record, cell);
-  const Normals normals = normals_of(pieces);
+  const Normals normals = normals_of(selection);
   const std::uint32_t code = encode_normal(normals.mean);
   record.normal = {static_cast<std::uint16_t>(code), static_cast<std::uint16_t>(code >> 16U)};
   record.shape = normals.oriented ? kShapeOriented : 0;
 
-  const Spread spread = spread_along(record_normal(record), pieces);
+  const bool has_one_material = selection.has_one_material();
+  const Spread spread = spread_along(record_normal(record), selection);
   const bool is_flat = spread.range <= kFlatThicknessMax * glm::length(tight.extent()) &&
                        normals.agreement >= kFlatAgreementMin;
-  const float unknown =
-      is_flat ? set_flat(summary, pieces, spread, bounds) : set_scattered(summary, pieces, bounds);
+  const float unknown = is_flat ? set_flat(summary, selection, spread, bounds, has_one_material)
+                                : set_scattered(summary, selection, bounds, has_one_material);
   const auto lamps = static_cast<float>(normals.area_emitting / normals.area);
   summary.error = half_surface(tight) * (unknown + kLampWeight * lamps * (1.0F - lamps));
   return summary;
@@ -642,19 +773,20 @@ class VoxelTreeBuilder {
 
   void build(std::vector<Piece> pieces, std::size_t leaf_count_max) {
     const std::size_t pieces_max = kPieceGrowthMax * pieces.size() + kPiecesFree;
-    pieces_held_ = pieces.size();
-    tree_.nodes.push_back({summarise(pieces, tree_.cell)});
-    push({0, 0, tree_.cell, std::move(pieces)});
+    pieces_ = std::move(pieces);
+    std::vector<std::uint32_t> all(pieces_.size());
+    std::iota(all.begin(), all.end(), 0U);
+    tree_.nodes.push_back({summarise({pieces_, all}, tree_.cell)});
+    push({0, 0, tree_.cell, std::move(all)});
     std::size_t leaf_count = 1;
     float error = kInfinity;
     while (!open_.empty()) {
       const float error_next = tree_.nodes[open_.front().node].summary.error;
       const std::size_t max = error_next > kErrorLarge ? kLeavesMax : leaf_count_max;
-      if (leaf_count >= max || pieces_held_ > pieces_max) { break; }
+      if (leaf_count >= max || pieces_.size() > pieces_max) { break; }
       std::pop_heap(open_.begin(), open_.end(), later_);
       const Open open = std::move(open_.back());
       open_.pop_back();
-      pieces_held_ -= open.pieces.size();
       const std::uint32_t children = split(open);
       if (children == 0) { continue; }
       BuildNode& node = tree_.nodes[open.node];
@@ -670,7 +802,7 @@ class VoxelTreeBuilder {
     std::uint32_t node = 0;
     unsigned depth = 0;
     Aabb cell{};
-    std::vector<Piece> pieces{};
+    std::vector<std::uint32_t> pieces{};  // into pieces_
   };
 
   struct Later {
@@ -692,19 +824,20 @@ class VoxelTreeBuilder {
     std::push_heap(open_.begin(), open_.end(), later_);
   }
 
+  using Parts = std::array<std::vector<std::uint32_t>, 8>;  // by octant, into pieces_
+
   // Returns how many children the node got; none if rounding leaves nothing of its slivers.
   std::uint32_t split(const Open& open) {
     const Vec3 middle = child_cell(open.cell, 0).high;
-    std::array<std::vector<Piece>, 8> parts;
-    for (const Piece& piece : open.pieces) { distribute(piece, middle, parts); }
+    Parts parts;
+    for (const std::uint32_t piece : open.pieces) { distribute(piece, middle, parts); }
     const auto first_child = static_cast<std::uint32_t>(tree_.nodes.size());
     tree_.nodes[open.node].first_child = first_child;
     std::uint32_t count = 0;
     for (unsigned octant = 0; octant < 8; ++octant) {
       if (parts[octant].empty()) { continue; }
       const Aabb cell = child_cell(open.cell, octant);
-      pieces_held_ += parts[octant].size();
-      tree_.nodes.push_back({summarise(parts[octant], cell)});
+      tree_.nodes.push_back({summarise({pieces_, parts[octant]}, cell)});
       tree_.nodes[open.node].child_mask |= static_cast<std::uint8_t>(1U << octant);
       push({first_child + count, open.depth + 1, cell, std::move(parts[octant])});
       ++count;
@@ -712,8 +845,8 @@ class VoxelTreeBuilder {
     return count;
   }
 
-  static void distribute(const Piece& piece, const Vec3& middle,
-                         std::array<std::vector<Piece>, 8>& parts) {
+  void distribute(std::uint32_t index, const Vec3& middle, Parts& parts) {
+    const Piece& piece = pieces_[index];
     unsigned above = 0;  // bit per axis
     unsigned cut_axes = 0;
     for (unsigned axis = 0; axis < 3; ++axis) {
@@ -728,7 +861,7 @@ class VoxelTreeBuilder {
       if (has_above && !has_below) { above |= 1U << axis; }
     }
     if (cut_axes == 0) {
-      parts[above].push_back(piece);
+      parts[above].push_back(index);
       return;
     }
     std::array<Piece, 8> cut;
@@ -743,16 +876,17 @@ class VoxelTreeBuilder {
       }
     }
     for (unsigned octant = 0; octant < 8; ++octant) {
-      if (cut[octant].count >= 3 && area_vector(cut[octant]) != Vec3(0.0F)) {
-        parts[octant].push_back(cut[octant]);
-      }
+      cut[octant].measure();
+      if (!cut[octant].has_area()) { continue; }
+      parts[octant].push_back(static_cast<std::uint32_t>(pieces_.size()));
+      pieces_.push_back(cut[octant]);
     }
   }
 
   VoxelTree& tree_;
   Later later_{&tree_};
   std::vector<Open> open_;
-  std::size_t pieces_held_ = 0;
+  std::vector<Piece> pieces_;  // whole and cut, of all nodes
 };
 
 // ---- the cut through all trees that the budget allows ----

@@ -38,7 +38,10 @@ inline constexpr float kProxyExtentMin = 2.0F * kVoxelMargin;  // of a leaf's bo
 // straight along axis k passes an occupied block with probability 1 - coverage[k], so that the
 // geometry's shadow along k is as large as the true one, a union, in which layers do not count
 // twice. A chord of length l in direction d through occupied blocks of extent e passes with
-// probability exp(-l * sum_k |d_k| * -ln(1 - coverage[k]) / e_k).
+// probability exp(-l * |v|), v_k = d_k * -ln(1 - coverage[k]) / e_k. Of what has faces along the
+// axes the norm is the sum of the components, as the shadow of a box is; of what has normals in all
+// directions it is the length, as the shadow of an ellipsoid is. roundness mixes the two: the sum
+// would stop half as many rays again as a sphere does.
 struct ProxyRecord {
   std::array<std::uint16_t, 2> normal{};  // encode_normal of the mean by area, low half first
   std::array<std::uint16_t, 4> mask{};    // flat: 8 x 8 squares of the face that the plane's normal
@@ -51,8 +54,9 @@ struct ProxyRecord {
   std::array<std::uint8_t, 3> high{};
   std::array<std::uint8_t, 3> coverage{};  // 255ths
   std::uint8_t minor_share = 0;            // scattered: how often it is seen of both, 255ths
-  std::uint8_t thickness = 0;  // of a flat leaf across its plane, 255ths of the diagonal
-  std::uint8_t shape = 0;      // kShape* bits
+  // Flat: its thickness across the plane, 255ths of the diagonal; scattered: its roundness, 255ths.
+  std::uint8_t thickness = 0;
+  std::uint8_t shape = 0;  // kShape* bits
 };
 inline constexpr std::uint8_t kShapeFlat = 1;
 inline constexpr std::uint8_t kShapeOriented = 2;  // the normals agree on a side

@@ -11,6 +11,7 @@
 #include "cache/prediction.h"
 #include "master/commands.h"
 #include "master/options.h"
+#include "master/predict_cost.h"
 #include "master/scene_source.h"
 #include "master/view.h"
 
@@ -23,6 +24,7 @@ struct PredictOptions {
   SceneOptions scene{};
   ViewOptions view{};
   std::string model = "transport";
+  CostOptions cost{};
   std::string json{};
   std::string csv{};
 };
@@ -55,7 +57,8 @@ double capture(const Prediction& prediction, const SceneTables& tables,
   return all > 0.0 ? captured / all : 0.0;
 }
 
-std::string prediction_table(const Prediction& prediction, const SceneTables& tables) {
+std::string prediction_table(const Prediction& prediction, const SceneTables& tables,
+                             const CostForecast& cost) {
   const auto order = hottest_per_byte_first(prediction, tables.voxels);
   std::string table = fmt::format(
       "model            {}\n"
@@ -65,6 +68,7 @@ std::string prediction_table(const Prediction& prediction, const SceneTables& ta
       prediction.model, prediction.seconds, prediction.rays_total(), prediction.camera_total,
       prediction.scatter_total, prediction.shadow_total, tables.voxels.size(),
       tables.resident_bytes());
+  table += cost_table(cost, prediction);
   for (const double share : {0.01, 0.10, 0.25, 0.50}) {
     table += fmt::format("hottest {:3.0f} % of bytes are entered by {:5.1f} % of the accesses\n",
                          100.0 * share, 100.0 * capture(prediction, tables, order, share));
@@ -81,7 +85,8 @@ std::string prediction_table(const Prediction& prediction, const SceneTables& ta
   return table;
 }
 
-std::string prediction_json(const Prediction& prediction, const SceneTables& tables) {
+std::string prediction_json(const Prediction& prediction, const SceneTables& tables,
+                            const CostForecast& cost) {
   nlohmann::ordered_json captures;
   const auto order = hottest_per_byte_first(prediction, tables.voxels);
   for (const auto& [name, share] : {std::pair{"0.01", 0.01}, std::pair{"0.1", 0.1},
@@ -94,7 +99,9 @@ std::string prediction_json(const Prediction& prediction, const SceneTables& tab
                                         {{"camera", prediction.camera_total},
                                          {"scatter", prediction.scatter_total},
                                          {"shadow", prediction.shadow_total},
-                                         {"total", prediction.rays_total()}}},
+                                         {"total", prediction.rays_total()},
+                                         {"total_error", prediction.rays_total_error}}},
+                                       {"cost", cost_json(cost)},
                                        {"voxels", tables.voxels.size()},
                                        {"resident_bytes", tables.resident_bytes()},
                                        {"capture_of_own_ranking", captures},
@@ -127,14 +134,17 @@ Result<void> run_predict(const PredictOptions& options) {
       predict(options.model, PredictionInput{store.tables(), store.proxy(), view->settings,
                                              std::thread::hardware_concurrency()});
   if (!prediction) { return tl::unexpected(prediction.error()); }
+  const auto cost = measure_and_forecast_cost(store, *prediction, options.cost);
+  if (!cost) { return tl::unexpected(cost.error()); }
 
   if (options.json != "-" && options.csv != "-") {
-    if (auto printed = write_text_output("-", prediction_table(*prediction, store.tables()));
+    if (auto printed = write_text_output("-", prediction_table(*prediction, store.tables(), *cost));
         !printed) {
       return printed;
     }
   }
-  if (auto written = write_text_output(options.json, prediction_json(*prediction, store.tables()));
+  if (auto written =
+          write_text_output(options.json, prediction_json(*prediction, store.tables(), *cost));
       !written) {
     return written;
   }
@@ -154,6 +164,7 @@ void add_predict_command(CLI::App& app, Command& chosen) {
       ->check(CLI::IsMember(prediction_models()))
       ->capture_default_str();
   add_view_options(*command, options->view);
+  add_cost_options(*command, options->cost);
   command->add_option("--json", options->json, "Write everything here; - for stdout")
       ->type_name("FILE");
   command->add_option("--csv", options->csv, "Write a line per voxel here; - for stdout")

@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <cmath>
 #include <cstdio>
 
 #include "tests/cache/transport_truth.h"
@@ -65,6 +67,50 @@ TEST(TransportModel, PredictsTheSameOnOneThreadAndOnMany) {
   EXPECT_EQ(one.rays_shadow, two.rays_shadow);
   EXPECT_EQ(one.scatter_total, two.scatter_total);
   EXPECT_EQ(one.shadow_total, two.shadow_total);
+}
+
+TEST(TransportModel, StatesAnErrorThatItKeeps) {
+  const CompiledScene compiled = test::compile_in_memory(test::make_room(4, /*seed=*/2), 200);
+  RenderSettings settings = test::room_settings(/*size=*/256, /*spp=*/4);
+  const auto predicted = [&](std::uint32_t paths) {
+    PredictionInput input{compiled.tables, compiled.proxy, settings, 2};
+    input.knobs.transport.paths = paths;
+    return *predict("transport", input);
+  };
+  const Prediction reference = predicted(1U << 16U);
+  const std::size_t hottest = static_cast<std::size_t>(
+      std::max_element(reference.rays_camera.begin(), reference.rays_camera.end()) -
+      reference.rays_camera.begin());
+  double squares = 0.0;
+  double squares_stated = 0.0;
+  double voxel_squares = 0.0;
+  double voxel_squares_stated = 0.0;
+
+  for (settings.seed = 1; settings.seed <= 16; ++settings.seed) {
+    const Prediction rough = predicted(512);
+    squares += std::pow(rough.rays_total() - reference.rays_total(), 2);
+    squares_stated += std::pow(rough.rays_total_error, 2);
+    voxel_squares += std::pow(rough.rays(hottest) - reference.rays(hottest), 2);
+    voxel_squares_stated += std::pow(rough.rays_error[hottest], 2);
+  }
+
+  // Sixteen squares of a normal error exceed twice their expectation once in a hundred times.
+  EXPECT_LT(squares, 2.0 * squares_stated);
+  EXPECT_LT(voxel_squares, 2.0 * voxel_squares_stated);
+  EXPECT_LT(std::sqrt(squares_stated / 16.0), 0.05 * reference.rays_total());
+  EXPECT_LT(reference.rays_total_error, 0.2 * std::sqrt(squares_stated / 16.0));
+}
+
+TEST(TransportModel, RefusesMorePathsThanItCounts) {
+  const CompiledScene compiled = test::compile_in_memory(test::make_room(1, /*seed=*/2), 200);
+  const RenderSettings settings = test::room_settings(/*size=*/16, /*spp=*/1);
+  PredictionInput input{compiled.tables, compiled.proxy, settings, 1};
+  input.knobs.transport.paths = kTransportPathsMax + 1;
+
+  const Result<Prediction> prediction = predict("transport", input);
+
+  ASSERT_FALSE(prediction.has_value());
+  EXPECT_EQ(prediction.error().code, ExitCode::kUsage);
 }
 
 TEST(TransportModel, ShadesOnlyWhatTheSettingsAllow) {

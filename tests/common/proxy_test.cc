@@ -5,8 +5,10 @@
 #include <tbb/task_arena.h>
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <cstring>
+#include <tuple>
 
 #include "common/voxel_block.h"
 #include "tests/scenes/soups.h"
@@ -123,6 +125,70 @@ TEST(Proxy, PutsAWallBetweenTwoVoxelsIntoBoth) {
   }
   EXPECT_GE(below, 4U);
   EXPECT_GE(above, 4U);
+}
+
+// Bars across the unit square around the origin, in z = 0.
+void add_bars(Scene& scene, int bars, float share) {
+  const float step = 2.0F / static_cast<float>(bars);
+  for (int bar = 0; bar < bars; ++bar) {
+    const Vec3 corner(-1.0F, -1.0F + step * static_cast<float>(bar), 0.0F);
+    const Vec3 across(2.0F, 0.0F, 0.0F);
+    const Vec3 along(0.0F, step * share, 0.0F);
+    add_triangle(scene, corner, corner + across, corner + across + along);
+    add_triangle(scene, corner, corner + across + along, corner + along);
+  }
+}
+
+// Of all triangles in one voxel, which has few enough of them to stay whole.
+ProxyRecord only_record(const Scene& scene) {
+  Octree octree;
+  octree.root = {Vec3(-1.0F), Vec3(1.0F)};
+  octree.nodes = {{0, static_cast<std::uint32_t>(scene.triangles.size()), 0}};
+  for (std::uint32_t id = 0; id < scene.triangles.size(); ++id) { octree.references.push_back(id); }
+  const std::vector<std::uint32_t> voxel_roots{0};
+  const Proxy proxy = build_proxy(scene, octree, voxel_roots);
+  EXPECT_EQ(proxy.records.size(), 1U);
+  return proxy.records[0];
+}
+
+TEST(Proxy, StopsEveryRayAtAWallBesideItsDoor) {
+  Scene scene = empty_scene();
+  const auto add = [&](const Vec3& low, const Vec3& high) {
+    add_triangle(scene, low, {high.x, low.y, 0.0F}, high);
+    add_triangle(scene, low, high, {low.x, high.y, 0.0F});
+  };
+  // The door: 0.1..0.5 by -1..0.3, on no border of the squares.
+  add({-1.0F, -1.0F, 0.0F}, {0.1F, 1.0F, 0.0F});
+  add({0.5F, -1.0F, 0.0F}, {1.0F, 1.0F, 0.0F});
+  add({0.1F, 0.3F, 0.0F}, {0.5F, 1.0F, 0.0F});
+
+  const ProxyRecord record = only_record(scene);
+
+  EXPECT_EQ(record.coverage[0], 255);
+  const double open = 1.0 - std::popcount(record_mask(record)) / 64.0;
+  EXPECT_NEAR(open, 0.4 * 1.3 / 4.0, 1.5 / 64.0);
+  const FlatAxes axes = flat_axes(record_normal(record));
+  for (const auto& [x, y, wall] : {std::tuple{0.3F, -0.5F, false}, std::tuple{-0.5F, -0.5F, true},
+                                   std::tuple{0.9F, 0.9F, true}, std::tuple{0.3F, 0.9F, true}}) {
+    const Vec3 place = (Vec3(x, y, 0.0F) + 1.0F) * 4.0F;
+    const unsigned bit =
+        flat_bit(static_cast<unsigned>(place[axes.u]), static_cast<unsigned>(place[axes.v]));
+    EXPECT_EQ((record_mask(record) >> bit & 1U) != 0, wall) << x << " " << y;
+  }
+}
+
+TEST(Proxy, LetsAShareOfTheRaysThroughAGrating) {
+  for (const float share : {0.3F, 0.6F}) {
+    Scene scene = empty_scene();
+    add_bars(scene, /*bars=*/7, share);
+
+    const ProxyRecord record = only_record(scene);
+
+    // The bounds end with the last bar.
+    const double covered = 7.0 * static_cast<double>(share) / (6.0 + static_cast<double>(share));
+    EXPECT_NEAR(record.coverage[0] / 255.0 * std::popcount(record_mask(record)) / 64.0, covered,
+                0.1);
+  }
 }
 
 // The share of the bounds' face that a scattered record's blocks cover, seen straight along the

@@ -1,0 +1,100 @@
+#include "master/predict_cost.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <nlohmann/json.hpp>
+
+namespace preheat {
+namespace {
+
+// Three voxels of 1000, 2000 and 4000 bytes, ten times that when built.
+SceneTables three_voxels() {
+  SceneTables tables;
+  for (const std::uint32_t bytes : {1000U, 2000U, 4000U}) {
+    VoxelEntry entry;
+    entry.block_bytes = bytes;
+    entry.resident_bytes = 10 * std::uint64_t{bytes};
+    tables.voxels.push_back(entry);
+  }
+  return tables;
+}
+
+Prediction prediction_of(const std::vector<double>& rays) {
+  Prediction prediction;
+  prediction.rays_camera = rays;
+  prediction.rays_scatter.assign(rays.size(), 0.0);
+  prediction.rays_shadow.assign(rays.size(), 0.0);
+  prediction.camera_total = 1e6;
+  prediction.rays_total_error = 1e3;
+  return prediction;
+}
+
+TEST(PredictCost, IsRaysTimesTheSecondsOfOne) {
+  CostOptions options;
+  options.workers = 4;
+  options.threads = 2;
+
+  // Measured with two threads together; eight take a quarter of it.
+  const auto forecast = forecast_cost(three_voxels(), prediction_of({1.0, 1.0, 1.0}), options,
+                                      /*seconds_per_ray=*/1e-6, /*threads_measured=*/2);
+
+  ASSERT_TRUE(forecast.has_value()) << forecast.error().message;
+  EXPECT_EQ(forecast->threads, 8U);
+  EXPECT_DOUBLE_EQ(forecast->tracing_seconds, 0.25);
+  EXPECT_DOUBLE_EQ(forecast->tracing_seconds_error, 0.25e-3);
+}
+
+TEST(PredictCost, FetchesWhatIsNotHotAndWhatSomeRayEnters) {
+  CostOptions options;
+  options.workers = 2;
+  options.cache.bytes = 60000;
+  options.preload_share = 0.4;  // 24000 bytes: the two small voxels are not both hot
+
+  const auto forecast =
+      forecast_cost(three_voxels(), prediction_of({100.0, 4.0, 0.5}), options, 1e-6, 1);
+
+  ASSERT_TRUE(forecast.has_value()) << forecast.error().message;
+  EXPECT_DOUBLE_EQ(forecast->preload_bytes, 1000.0);
+  EXPECT_NEAR(forecast->fetch_bytes,
+              2000.0 * (1.0 - std::exp(-2.0)) + 4000.0 * (1.0 - std::exp(-0.25)), 1e-9);
+}
+
+TEST(PredictCost, FetchesNothingWhereEverythingIsHotOrNothingIsEntered) {
+  CostOptions options;
+  options.cache.share = 1.0;
+
+  const auto all_hot = forecast_cost(three_voxels(), prediction_of({1.0, 1.0, 1.0}), options, 0, 1);
+  const auto unseen = forecast_cost(three_voxels(), prediction_of({0.0, 0.0, 0.0}), options, 0, 1);
+
+  EXPECT_EQ(all_hot->preload_bytes, 7000.0);
+  EXPECT_EQ(all_hot->fetch_bytes, 0.0);
+  EXPECT_EQ(unseen->preload_bytes, 0.0);
+  EXPECT_EQ(unseen->fetch_bytes, 0.0);
+}
+
+TEST(PredictCost, RefusesACacheBelowOneVoxel) {
+  CostOptions options;
+  options.cache.bytes = 100;
+
+  const auto forecast =
+      forecast_cost(three_voxels(), prediction_of({1.0, 1.0, 1.0}), options, 1e-6, 1);
+
+  ASSERT_FALSE(forecast.has_value());
+  EXPECT_EQ(forecast.error().code, ExitCode::kUsage);
+}
+
+TEST(PredictCost, SaysTheSameInTheTableAndInJson) {
+  const Prediction prediction = prediction_of({1.0, 1.0, 1.0});
+  const auto forecast = forecast_cost(three_voxels(), prediction, CostOptions{}, 1e-6, 2);
+
+  const nlohmann::json json = cost_json(*forecast);
+  const std::string table = cost_table(*forecast, prediction);
+
+  EXPECT_EQ(json["threads"], 2);
+  EXPECT_DOUBLE_EQ(json["tracing_seconds"].get<double>(), 1.0);
+  EXPECT_NE(table.find("1 s with 2 threads, 1e+03 ns a ray"), std::string::npos) << table;
+}
+
+}  // namespace
+}  // namespace preheat
