@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "cache/baseline_models.h"
+#include "cache/paper_model.h"
 #include "cache/transport_model.h"
 
 namespace preheat {
@@ -19,6 +20,7 @@ struct Model {
 constexpr std::array kModels = {
     Model{"none",
           [](const PredictionInput& input) -> Result<Prediction> { return predict_none(input); }},
+    Model{"paper", predict_paper},
     Model{"random",
           [](const PredictionInput& input) -> Result<Prediction> { return predict_random(input); }},
     Model{"transport", predict_transport},
