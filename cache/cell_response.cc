@@ -13,9 +13,10 @@ namespace {
 // Shadow rays with which a cell looks for its lights, stratified by power.
 constexpr std::uint32_t kLightLooks = 128;
 
-// Rays that stand for a lobe. Up to this roughness (GGX alpha) one is enough: the lobe is narrower
-// than a bin.
+// Rays that stand for a lobe. Up to this roughness (GGX alpha) one is enough, as the lobe is
+// narrower than a bin, and where fewer than this share of the rays take the lobe, as a coat's do.
 constexpr float kNarrowAlpha = 0.1F;
+constexpr float kCoatShare = 0.25F;
 constexpr std::uint32_t kWideLobeRays = 4;
 constexpr std::uint32_t kGlassRays = 8;
 
@@ -145,7 +146,7 @@ void CellResponse::add_lobes(const Vertex& vertex, double rays, OutgoingRays& ou
   const LobeProbabilities lobes = vertex.bsdf.probabilities();
   if (lobes.specular > 0.0F) {
     const double of_lobe = rays * static_cast<double>(lobes.specular);
-    if (vertex.material.alpha <= kNarrowAlpha) {
+    if (vertex.material.alpha <= kNarrowAlpha || lobes.specular < kCoatShare) {
       const Vec3 out = vertex.bsdf.out();
       add_direction(vertex, Vec3(-out.x, -out.y, out.z), of_lobe, outgoing);
     } else {

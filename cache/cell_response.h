@@ -1,20 +1,26 @@
 // What leaves a cell when rays come in: the distribution of outgoing rays of [P] sections 4 and 5.
 //
 // How the sentences of [P] are read:
-// - "Each object in the voxel is tested in turn": every object answers, each for its share of the
-//   incoming rays. The paper counts all of them for every object; here the shares add up to one, in
-//   proportion to the area that an object shows to the rays, so that a ray is one ray however
-//   finely its surface is cut into triangles.
-// - How many rays follow from one: what the renderer traces (common/path_rules.h), one scattered
-//   ray, and one shadow ray to a light chosen by power, where the material is not all mirrors. So
-//   the "shadow rays" of the paper, one to each light, become one that is spread over the lights.
-// - "Specular reflection and refraction": the renderer's own scattering functions (common/bsdf.h)
-//   say how often each happens and where it goes. Mirrors and coats send one ray, rough metals a
-//   few, stratified, and glass some that reflect and some that pass.
-// - "Diffuse reflection": as a cosine lobe over the bins on the viewer's side of the surface.
-// - All objects lie in the cell's centre: lights are looked at from there. A shadow ray to a light
-//   inside the cell stays in it, and half of the surfaces face that light. The light of the sky is
-//   a cosine lobe too, as the renderer samples it.
+//
+// "Each object in the voxel is now tested in turn". Every object answers, for its share of the
+// incoming rays. The paper counts all of them for every object; here the shares add up to one, in
+// proportion to the area that an object shows to the rays, so that a ray stays one ray however
+// finely its surface is cut into triangles.
+//
+// How many rays follow from one is what the renderer traces (common/path_rules.h): one scattered
+// ray, and one shadow ray to a light chosen by power, where the material is not all mirrors. So the
+// paper's shadow rays, one to each light, become one that is spread over the lights.
+//
+// "Specular reflection and refraction". The renderer's own scattering functions (common/bsdf.h) say
+// how often each happens and where it goes: mirrors and coats send one ray, rough metals a few,
+// stratified, and glass some that reflect and some that pass.
+//
+// "Diffuse reflection" is a cosine lobe over the bins on the viewer's side of the surface.
+//
+// All objects lie in the cell's centre, so lights are looked at from there. A shadow ray to a light
+// inside the cell stays in it, and half of the surfaces face that light. The sky's light is a
+// cosine lobe, as the renderer samples it.
+//
 // What the scene lacks does not exist here: no lights, no shadow rays; no bounce left, no rays.
 // Threads: immutable; any thread may respond, each with its own `Scratch`.
 #pragma once

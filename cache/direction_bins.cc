@@ -11,6 +11,17 @@ namespace preheat {
 DirectionBins::DirectionBins(unsigned polar, unsigned azimuth) : polar_(polar), azimuth_(azimuth) {
   CHECK(polar >= 1 && polar <= kBinsPolarMax && azimuth >= 1 && azimuth <= kBinsAzimuthMax);
   const double turn = 2.0 * kPiDouble / azimuth;
+  for (unsigned row = 1; 2 * row <= polar; ++row) {
+    row_cosines_.push_back(2 * row == polar ? 0.0 : std::cos(kPiDouble * row / polar));
+  }
+  for (unsigned quadrant = 0; quadrant < quadrants_.size(); ++quadrant) {
+    const double begin = 0.25 * azimuth * quadrant;  // in columns
+    quadrants_[quadrant].first = static_cast<unsigned>(begin);
+    for (double column = std::floor(begin) + 1.0; column < begin + 0.25 * azimuth; ++column) {
+      const double angle = (column - begin) * turn;
+      quadrants_[quadrant].borders.push_back({std::cos(angle), std::sin(angle)});
+    }
+  }
   for (unsigned row = 0; row < polar; ++row) {
     const double upper = kPiDouble * row / polar;
     const double lower = kPiDouble * (row + 1) / polar;
@@ -38,18 +49,21 @@ std::optional<std::uint32_t> DirectionBins::bin_of(const Vec3d& direction) const
   }
   const Vec3d d = direction / largest;  // so that squares neither overflow nor vanish
 
-  // From the nearer pole, as both hemispheres shall be cut alike; an arc tangent needs no unit
-  // vector and is sharp near the poles, where an arc cosine is not.
-  const double from_pole = std::atan2(std::sqrt(d.x * d.x + d.y * d.y), std::abs(d.z));
-  const auto row_from_pole =
-      std::min(polar_ - 1, static_cast<unsigned>(from_pole / kPiDouble * polar_));
+  // From the nearer pole, so that both hemispheres are cut alike. Angles are compared by their
+  // cosines and by cross products, which takes no arc function.
+  const double height = std::abs(d.z);
+  const double length = glm::length(d);
+  const auto first_below =
+      std::partition_point(row_cosines_.begin(), row_cosines_.end(),
+                           [&](double cosine) { return height <= cosine * length; });
+  const auto row_from_pole = static_cast<unsigned>(first_below - row_cosines_.begin());
   const unsigned row = d.z < 0.0 ? polar_ - 1 - row_from_pole : row_from_pole;
 
-  // The quadrant by comparisons and the rest of the turn inside it, so that quarter turns are
-  // exact. Comparisons do not see the sign of a zero.
+  // The quadrant by comparisons, which do not see the sign of a zero, and the rest inside it, so
+  // that quarter turns are exact.
   double along = d.x;
   double across = d.y;
-  unsigned quadrant = 0;
+  std::size_t quadrant = 0;
   if (d.x <= 0.0 && d.y > 0.0) {
     quadrant = 1;
     along = d.y;
@@ -63,12 +77,14 @@ std::optional<std::uint32_t> DirectionBins::bin_of(const Vec3d& direction) const
     along = -d.y;
     across = d.x;
   }
-  const double quarter = azimuth_ / 4.0;
-  const double inside = std::atan2(std::abs(across), std::abs(along)) / (0.5 * kPiDouble) * quarter;
-  const double first = quarter * quadrant;
-  // The quadrant ends where the next one begins, whatever rounding says.
-  const double last = std::ceil(first + quarter) - 1.0;
-  const auto column = static_cast<unsigned>(std::min(std::floor(first + inside), last));
+  const Quadrant& columns = quadrants_[quadrant];
+  const auto first_beyond = std::partition_point(
+      columns.borders.begin(), columns.borders.end(),
+      [&](const Border& border) { return across * border.cosine >= along * border.sine; });
+  // At a pole every border is met; its column is that of azimuth 0.
+  const bool is_pole = along == 0.0;
+  const auto column =
+      is_pole ? 0U : columns.first + static_cast<unsigned>(first_beyond - columns.borders.begin());
   return row * azimuth_ + column;
 }
 

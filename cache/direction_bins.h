@@ -7,6 +7,7 @@
 // Threads: immutable.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <optional>
 #include <span>
@@ -40,8 +41,20 @@ class DirectionBins {
   [[nodiscard]] const Vec3d& flux(std::uint32_t bin) const { return fluxes_[bin]; }
 
  private:
+  // Of a column, as an angle from its quadrant's first axis.
+  struct Border {
+    double cosine = 1.0;
+    double sine = 0.0;
+  };
+  struct Quadrant {
+    unsigned first = 0;             // the column that holds the first axis
+    std::vector<Border> borders{};  // inside the quadrant, increasing
+  };
+
   unsigned polar_;
   unsigned azimuth_;
+  std::vector<double> row_cosines_{};  // of the rows' lower borders, down to the equator
+  std::array<Quadrant, 4> quadrants_{};
   std::vector<double> solid_angles_{};  // [polar] of each bin of a row [sr]
   std::vector<Vec3d> fluxes_{};         // [size()]
 };

@@ -44,6 +44,7 @@ struct Sent {
 struct Received {
   double scatter = 0.0;
   double shadow = 0.0;
+  double goes_on = 0.0;  // of `scatter`
 };
 
 [[nodiscard]] double sum_of(const std::vector<double>& values) {
@@ -52,7 +53,8 @@ struct Received {
   return sum;
 }
 
-// Section 6, first option. Never more than 1: see the header.
+// Section 6: what makes the rays that go on as many as were sent. Never more than 1: see the
+// header.
 [[nodiscard]] double ratio(double sent, double received) {
   return received > sent ? sent / received : 1.0;
 }
@@ -91,6 +93,10 @@ class PaperModel {
 
   // The factor of section 6 for rays that travel from a point to a cell's centre; 1 for n/m.
   [[nodiscard]] double arrival(const Vec3d& from, const Vec3d& to) const;
+  // Whether no more rays may go on than were sent.
+  [[nodiscard]] bool is_conserving() const {
+    return knobs_.occlusion != PaperOcclusion::kAsPrinted;
+  }
   // Of the rays that arrive, the share that goes on.
   [[nodiscard]] double stopped(std::size_t cell) const;
   [[nodiscard]] Prediction finish() const;
@@ -192,6 +198,7 @@ void PaperModel::respond(std::size_t cell, std::uint32_t bounce, double throughp
 }
 
 void PaperModel::send_primary(Sent& sent) {
+  std::vector<double> goes_on(cells_.size(), 0.0);
   for_each_cell([&](std::size_t cell, Workspace& space) {
     camera_[cell] = primary_rays(cut_.cells[cell].cell);
     if (!(camera_[cell] > 0.0)) { return; }
@@ -200,13 +207,11 @@ void PaperModel::send_primary(Sent& sent) {
     const double distance = glm::length(towards);
     // From the centre itself, rays leave along the view.
     const Vec3 direction = distance > 0.0 ? Vec3(towards / distance) : input_.settings.view.forward;
-    const double rays = camera_[cell] * arrival(eye, centres_[cell]) * stopped(cell);
-    space.incoming.assign(1, {glm::normalize(direction), rays});
+    goes_on[cell] = camera_[cell] * arrival(eye, centres_[cell]) * stopped(cell);
+    space.incoming.assign(1, {glm::normalize(direction), goes_on[cell]});
     respond(cell, 0, 1.0, space, sent);
   });
-  if (knobs_.occlusion == PaperOcclusion::kRatio) {
-    sent.scale = ratio(primary_rays(summary_.root), sum_of(camera_));
-  }
+  if (is_conserving()) { sent.scale = ratio(primary_rays(summary_.root), sum_of(goes_on)); }
 }
 
 Received PaperModel::gather(const Sent& sent, std::size_t receiver, Workspace& space,
@@ -236,6 +241,7 @@ Received PaperModel::gather(const Sent& sent, std::size_t receiver, Workspace& s
     space.directions[way] += share * scatter * direction;
   }
   const double goes_on = stopped(receiver);
+  received.goes_on = goes_on * received.scatter;
   space.incoming.clear();
   for (std::size_t bin = 0; bin < bins; ++bin) {
     const double length = glm::length(space.directions[bin]);
@@ -272,15 +278,13 @@ Prediction PaperModel::predict() {
     Sent next(cells_.size(), bins_.size());
     const bool is_last = round + 1 == rounds;
     const std::vector<Received> received = exchange(sent, round + 1, is_last ? nullptr : &next);
-    double scatter_received = 0.0;
+    double goes_on = 0.0;
     for (std::size_t cell = 0; cell < cells_.size(); ++cell) {
       scatter_[cell] += received[cell].scatter;
       shadow_[cell] += received[cell].shadow;
-      scatter_received += received[cell].scatter;
+      goes_on += received[cell].goes_on;
     }
-    if (knobs_.occlusion == PaperOcclusion::kRatio) {
-      next.scale = ratio(scatter_sent, scatter_received);
-    }
+    if (is_conserving()) { next.scale = ratio(scatter_sent, goes_on); }
     sent = std::move(next);
   }
   return finish();
