@@ -129,7 +129,7 @@ Result<Prediction> predict_for(const RenderOptions& options, const Store& store,
   // In one process everything is hot: there is nothing to predict.
   return predict(options.local ? "none" : options.preload,
                  PredictionInput{store.tables(), store.proxy(), settings,
-                                 std::max(1U, std::thread::hardware_concurrency())});
+                                 std::max(1U, std::thread::hardware_concurrency()), &store});
 }
 
 ImageMetadata metadata_of(const RenderRecord& record) {
