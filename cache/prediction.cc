@@ -5,8 +5,10 @@
 #include <chrono>
 #include <utility>
 
+#include "cache/area_models.h"
 #include "cache/baseline_models.h"
 #include "cache/paper_model.h"
+#include "cache/profile_model.h"
 #include "cache/transport_model.h"
 
 namespace preheat {
@@ -17,16 +19,24 @@ struct Model {
   Result<Prediction> (*predict)(const PredictionInput& input);
 };
 
+// A model that cannot fail as one that could.
+template <Prediction (*kPredict)(const PredictionInput&)>
+Result<Prediction> always(const PredictionInput& input) {
+  return kPredict(input);
+}
+
 constexpr std::array kModels = {
-    Model{"none",
-          [](const PredictionInput& input) -> Result<Prediction> { return predict_none(input); }},
+    Model{"cleary-wyvill", predict_cleary_wyvill},
+    Model{"macdonald-booth", predict_macdonald_booth},
+    Model{"none", always<predict_none>},
+    Model{"oracle", predict_oracle},
     Model{"paper", predict_paper},
-    Model{"random",
-          [](const PredictionInput& input) -> Result<Prediction> { return predict_random(input); }},
+    Model{"profile", predict_profile},
+    Model{"random", always<predict_random>},
+    Model{"subramanian-fussell", predict_subramanian_fussell},
+    Model{"surface-area", predict_surface_area},
     Model{"transport", predict_transport},
-    Model{
-        "uniform",
-        [](const PredictionInput& input) -> Result<Prediction> { return predict_uniform(input); }},
+    Model{"uniform", always<predict_uniform>},
 };
 
 }  // namespace

@@ -85,8 +85,8 @@ struct PredictionInput {
   PredictionKnobs knobs{};
 };
 
-// Model names: none, paper, random, transport, uniform. Unknown names are a usage error that lists
-// them. `none` predicts zero for every voxel, so that nothing is preloaded.
+// Unknown names are a usage error that lists the known. `none` predicts zero for every voxel, so
+// that nothing is preloaded.
 [[nodiscard]] Result<Prediction> predict(const std::string& model, const PredictionInput& input);
 
 [[nodiscard]] const std::vector<std::string>& prediction_models();

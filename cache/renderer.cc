@@ -65,7 +65,7 @@ class Renderer::Impl {
   std::uint64_t progress() const { return progress_.load(std::memory_order_relaxed); }
   std::size_t tiles_pending() const;
   WorkerStats stats() const;
-  std::vector<std::uint64_t> accesses_by_voxel() const;
+  std::vector<CellAccesses> accesses_by_cell() const;
 
  private:
   struct TracerSeat {
@@ -74,7 +74,7 @@ class Renderer::Impl {
     RayStats rays{};                   // copies of the tracer's counts as of its last batch
     std::uint64_t misses = 0;
     std::uint64_t accesses = 0;
-    std::vector<std::uint64_t> accesses_by_voxel{};
+    std::vector<CellAccesses> accesses_by_cell{};
     double stall_seconds = 0.0;
   };
   struct Retired {
@@ -257,12 +257,13 @@ WorkerStats Renderer::Impl::stats() const {
   return stats;
 }
 
-std::vector<std::uint64_t> Renderer::Impl::accesses_by_voxel() const {
+std::vector<CellAccesses> Renderer::Impl::accesses_by_cell() const {
   const std::lock_guard lock(mutex_);
-  std::vector<std::uint64_t> sums(tables_.voxels.size());
+  const CountingTree* const tree = options_.counting_tree.get();
+  std::vector<CellAccesses> sums(tree == nullptr ? tables_.voxels.size() : tree->cell_count);
   for (const TracerSeat& seat : seats_) {
-    for (std::size_t voxel = 0; voxel < seat.accesses_by_voxel.size(); ++voxel) {
-      sums[voxel] += seat.accesses_by_voxel[voxel];
+    for (std::size_t cell = 0; cell < seat.accesses_by_cell.size(); ++cell) {
+      sums[cell].add(seat.accesses_by_cell[cell]);
     }
   }
   return sums;
@@ -353,6 +354,7 @@ void Renderer::Impl::build_hot_set() {
                               .resident = resident_,
                               .grid = {settings_.width, settings_.height, options_.tile_size},
                               .count_accesses = options_.count_accesses,
+                              .counting_tree = options_.counting_tree.get(),
                               .paths_max = options_.paths_per_thread};
   for (unsigned index = 0; index < options_.threads; ++index) {
     seats_[index].tracer = std::make_unique<Tracer>(context, index);
@@ -430,7 +432,7 @@ bool Renderer::Impl::exchange(unsigned index, bool ran) {
   if (cache_changed) { step_cache(); }
   std::vector<FinishedTile> finished = tracer.take_finished();
   if (!finished.empty() && tiles_waiting_.empty()) {
-    seat.accesses_by_voxel = tracer.accesses_by_voxel();
+    seat.accesses_by_cell = tracer.accesses_by_cell();
   }
   for (FinishedTile& tile : finished) {
     --tiles_under_way_;
@@ -491,8 +493,6 @@ std::vector<RendererEvent> Renderer::take_events() { return impl_->take_events()
 std::uint64_t Renderer::progress() const { return impl_->progress(); }
 std::size_t Renderer::tiles_pending() const { return impl_->tiles_pending(); }
 WorkerStats Renderer::stats() const { return impl_->stats(); }
-std::vector<std::uint64_t> Renderer::accesses_by_voxel() const {
-  return impl_->accesses_by_voxel();
-}
+std::vector<CellAccesses> Renderer::accesses_by_cell() const { return impl_->accesses_by_cell(); }
 
 }  // namespace preheat

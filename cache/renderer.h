@@ -19,6 +19,7 @@
 #include <variant>
 #include <vector>
 
+#include "cache/counting_tree.h"
 #include "common/film.h"
 #include "common/ids.h"
 #include "common/limits.h"
@@ -34,6 +35,8 @@ struct RendererOptions {
   std::uint64_t cache_limit_bytes = 0;  // >= SceneTables::resident_bytes_min()
   std::uint32_t tile_size = 32;
   AccessCounting count_accesses = AccessCounting::kSampled;
+  // Accesses are counted in this tree's cells; nullptr: in the voxels.
+  std::shared_ptr<const CountingTree> counting_tree{};
   std::size_t paths_per_thread = kPathsPerThread;
 };
 
@@ -94,8 +97,9 @@ class Renderer {
 
   [[nodiscard]] WorkerStats stats() const;
 
-  // Accesses counted per voxel, [voxel_count]; needs AccessCounting other than kNone.
-  [[nodiscard]] std::vector<std::uint64_t> accesses_by_voxel() const;
+  // Counted so far and not scaled up, [voxel_count], or [cell_count] of the counting tree; needs
+  // AccessCounting other than kNone. Complete once every tile has been taken as TileDone.
+  [[nodiscard]] std::vector<CellAccesses> accesses_by_cell() const;
 
  private:
   class Impl;

@@ -28,7 +28,9 @@ Tracer::Tracer(const TracerContext& context, unsigned index)
     paths_free_.push_back(static_cast<std::uint32_t>(path));
   }
   if (context_.count_accesses != AccessCounting::kNone) {
-    accesses_by_voxel_.resize(context_.tables.voxels.size());
+    const CountingTree* const tree = context_.counting_tree;
+    counting_nodes_ = tree == nullptr ? context_.tables.voxel_nodes : tree->nodes;
+    accesses_by_cell_.resize(tree == nullptr ? context_.tables.voxels.size() : tree->cell_count);
   }
 }
 
@@ -228,9 +230,13 @@ bool Tracer::is_counted(const Path& path, RayKind kind) const {
 void Tracer::count(const Path& path, RayKind kind) {
   if (!is_counted(path, kind)) { return; }
   const RayQuery& query = kind == RayKind::kShadow ? path.shadow : path.scatter;
+  // Nothing has scattered before the camera ray.
+  const auto type = kind == RayKind::kShadow ? &CellAccesses::shadow
+                    : path.state.bounce == 0 ? &CellAccesses::camera
+                                             : &CellAccesses::scatter;
   std::uint64_t entered = 0;
-  for_each_access(context_.tables, query.ray, query.t_best, [&](VoxelId voxel) {
-    ++accesses_by_voxel_[index_of(voxel)];
+  for_each_cell(counting_nodes_, query.ray, query.t_best, [&](std::uint32_t cell) {
+    ++(accesses_by_cell_[cell].*type);
     ++entered;
   });
   accesses_ +=

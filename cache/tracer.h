@@ -19,9 +19,11 @@
 
 #include <cstdint>
 #include <memory>
+#include <span>
 #include <unordered_map>
 #include <vector>
 
+#include "cache/counting_tree.h"
 #include "cache/tracing.h"
 #include "common/film.h"
 #include "common/limits.h"
@@ -39,7 +41,8 @@ struct TracerContext {
   ResidentTable& resident;
   TileGrid grid{};
   AccessCounting count_accesses = AccessCounting::kSampled;
-  std::size_t paths_max = kPathsPerThread;  // in flight
+  const CountingTree* counting_tree = nullptr;  // nullptr: the voxels
+  std::size_t paths_max = kPathsPerThread;      // in flight
 };
 
 struct FinishedTile {
@@ -83,9 +86,10 @@ class Tracer {
   [[nodiscard]] const RayStats& rays() const { return rays_; }
   [[nodiscard]] std::uint64_t misses() const { return misses_; }
   [[nodiscard]] std::uint64_t accesses() const { return accesses_; }  // scaled up where sampled
-  // Counted and not scaled, [voxel_count]; empty without counting.
-  [[nodiscard]] const std::vector<std::uint64_t>& accesses_by_voxel() const {
-    return accesses_by_voxel_;
+  // Counted and not scaled, [voxel_count], or [cell_count] of the counting tree; empty without
+  // counting.
+  [[nodiscard]] const std::vector<CellAccesses>& accesses_by_cell() const {
+    return accesses_by_cell_;
   }
 
   // One ray in this many is counted by AccessCounting::kSampled.
@@ -154,7 +158,8 @@ class Tracer {
   RayStats rays_{};
   std::uint64_t misses_ = 0;
   std::uint64_t accesses_ = 0;
-  std::vector<std::uint64_t> accesses_by_voxel_;
+  std::span<const VoxelNode> counting_nodes_;
+  std::vector<CellAccesses> accesses_by_cell_;
 };
 
 }  // namespace preheat

@@ -149,26 +149,34 @@ class Residency {
   std::unique_ptr<Impl> impl_;
 };
 
-// Calls visit(voxel) for every voxel whose bounds the ray enters before t_end: the ray's accesses.
-// A walk of its own, as the hot BVH has no callbacks.
+// Calls visit(index) for every leaf of a tree whose bounds the ray enters before t_end. Nodes lie
+// as in SceneTables::voxel_nodes; the index is VoxelNode::first of the leaf.
 template <class Visit>
-void for_each_access(const SceneTables& tables, const Ray& ray, float t_end, Visit&& visit) {
-  if (tables.voxel_nodes.empty()) { return; }
+void for_each_cell(std::span<const VoxelNode> nodes, const Ray& ray, float t_end, Visit&& visit) {
+  if (nodes.empty()) { return; }
   const Ray bounded{ray.origin, ray.direction, ray.t_min, std::min(ray.t_max, t_end)};
   std::array<std::uint32_t, 8 * 22 + 1> pending;  // at most 7 siblings wait at each level
   std::size_t pending_count = 0;
   pending[pending_count++] = 0;
   while (pending_count > 0) {
-    const VoxelNode& node = tables.voxel_nodes[pending[--pending_count]];
+    const VoxelNode& node = nodes[pending[--pending_count]];
     if (clip(bounded, node.bounds).is_empty()) { continue; }
     if (node.count == 0) {
-      visit(VoxelId{node.first});
+      visit(node.first);
       continue;
     }
     for (std::uint32_t child = 0; child < node.count; ++child) {
       pending[pending_count++] = node.first + child;
     }
   }
+}
+
+// Calls visit(voxel) for every voxel whose bounds the ray enters before t_end: the ray's accesses.
+// A walk of its own, as the hot BVH has no callbacks.
+template <class Visit>
+void for_each_access(const SceneTables& tables, const Ray& ray, float t_end, Visit&& visit) {
+  for_each_cell(tables.voxel_nodes, ray, t_end,
+                [&](std::uint32_t index) { visit(VoxelId{index}); });
 }
 
 }  // namespace preheat

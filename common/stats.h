@@ -14,9 +14,9 @@ struct CacheStats {
   std::uint64_t misses = 0;            // (ray, voxel) pairs that parked
   std::uint64_t remote_fetches = 0;    // voxels that arrived after the first tile began
   std::uint64_t remote_bytes = 0;
-  std::uint64_t rebuilds = 0;          // BVHs built while rendering from a block already held
+  std::uint64_t rebuilds = 0;  // BVHs built while rendering from a block already held
   std::uint64_t evictions = 0;
-  double stall_seconds = 0.0;          // threads without a runnable ray, summed
+  double stall_seconds = 0.0;  // threads without a runnable ray, summed
 
   // Limits and peaks: the largest; the rest: the sum.
   void add(const CacheStats& other) {
@@ -45,6 +45,20 @@ struct RayStats {
     scatter += other.scatter;
     shadow += other.shadow;
     samples_invalid += other.samples_invalid;
+  }
+};
+
+// Rays of each type that entered one voxel, or another cell that is counted in.
+struct CellAccesses {
+  std::uint64_t camera = 0;
+  std::uint64_t scatter = 0;
+  std::uint64_t shadow = 0;
+
+  [[nodiscard]] std::uint64_t total() const { return camera + scatter + shadow; }
+  void add(const CellAccesses& other) {
+    camera += other.camera;
+    scatter += other.scatter;
+    shadow += other.shadow;
   }
 };
 

@@ -1,13 +1,14 @@
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <memory>
 #include <nlohmann/json.hpp>
-#include <numeric>
 #include <string>
 #include <thread>
 #include <vector>
 
+#include "cache/evaluation.h"
 #include "cache/prediction.h"
 #include "master/commands.h"
 #include "master/options.h"
@@ -32,33 +33,22 @@ struct PredictOptions {
   std::string csv{};
 };
 
-std::vector<std::size_t> hottest_per_byte_first(const Prediction& prediction,
-                                                const std::vector<VoxelEntry>& voxels) {
-  std::vector<std::size_t> order(voxels.size());
-  std::iota(order.begin(), order.end(), std::size_t{0});
-  std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
-    return prediction.rays(a) * static_cast<double>(voxels[b].resident_bytes) >
-           prediction.rays(b) * static_cast<double>(voxels[a].resident_bytes);
-  });
-  return order;
-}
-
-// Share of all expected accesses that fall in the first voxels of `order` within a share of all
-// resident bytes; the last voxel counts in part.
-double capture(const Prediction& prediction, const SceneTables& tables,
-               const std::vector<std::size_t>& order, double bytes_share) {
-  double all = 0.0;
-  for (const std::size_t voxel : order) { all += prediction.rays(voxel); }
-  double room = bytes_share * static_cast<double>(tables.resident_bytes());
-  double captured = 0.0;
-  for (const std::size_t voxel : order) {
-    const auto bytes = static_cast<double>(tables.voxels[voxel].resident_bytes);
-    captured += prediction.rays(voxel) * std::min(1.0, room / bytes);
-    room -= bytes;
-    if (room <= 0.0) { break; }
+// What the model says of every voxel, and in which order it would preload them.
+struct Ranking {
+  Ranking(const Prediction& prediction, const SceneTables& tables) {
+    for (std::size_t voxel = 0; voxel < tables.voxels.size(); ++voxel) {
+      rays.push_back(prediction.rays(voxel));
+      bytes.push_back(static_cast<double>(tables.voxels[voxel].resident_bytes));
+    }
+    order = hottest_first(rays, bytes);
   }
-  return all > 0.0 ? captured / all : 0.0;
-}
+  [[nodiscard]] double captured(double bytes_share) const {
+    return capture(order, rays, bytes, bytes_share);
+  }
+  std::vector<double> rays{};
+  std::vector<double> bytes{};
+  std::vector<std::size_t> order{};
+};
 
 // Leaf traversals of the octree's cells at the depth where the model stops.
 std::string nodes_table(const NodePrediction& nodes) {
@@ -79,7 +69,7 @@ std::string nodes_table(const NodePrediction& nodes) {
 
 std::string prediction_table(const Prediction& prediction, const SceneTables& tables,
                              const CostForecast& cost) {
-  const auto order = hottest_per_byte_first(prediction, tables.voxels);
+  const Ranking ranking(prediction, tables);
   std::string table = fmt::format(
       "model            {}\n"
       "seconds          {:.4f}\n"
@@ -91,12 +81,12 @@ std::string prediction_table(const Prediction& prediction, const SceneTables& ta
   table += cost_table(cost, prediction);
   for (const double share : {0.01, 0.10, 0.25, 0.50}) {
     table += fmt::format("hottest {:3.0f} % of bytes are entered by {:5.1f} % of the accesses\n",
-                         100.0 * share, 100.0 * capture(prediction, tables, order, share));
+                         100.0 * share, 100.0 * ranking.captured(share));
   }
   table += fmt::format("\n{:>8} {:>12} {:>12} {:>12} {:>12} {:>12}\n", "voxel", "camera", "scatter",
                        "shadow", "rays", "bytes");
-  for (std::size_t rank = 0; rank < std::min(kHottestPrinted, order.size()); ++rank) {
-    const std::size_t voxel = order[rank];
+  for (std::size_t rank = 0; rank < std::min(kHottestPrinted, ranking.order.size()); ++rank) {
+    const std::size_t voxel = ranking.order[rank];
     table += fmt::format("{:>8} {:>12.5g} {:>12.5g} {:>12.5g} {:>12.5g} {:>12}\n", voxel,
                          prediction.rays_camera[voxel], prediction.rays_scatter[voxel],
                          prediction.rays_shadow[voxel], prediction.rays(voxel),
@@ -108,10 +98,10 @@ std::string prediction_table(const Prediction& prediction, const SceneTables& ta
 std::string prediction_json(const Prediction& prediction, const SceneTables& tables,
                             const CostForecast& cost) {
   nlohmann::ordered_json captures;
-  const auto order = hottest_per_byte_first(prediction, tables.voxels);
+  const Ranking ranking(prediction, tables);
   for (const auto& [name, share] : {std::pair{"0.01", 0.01}, std::pair{"0.1", 0.1},
                                     std::pair{"0.25", 0.25}, std::pair{"0.5", 0.5}}) {
-    captures[name] = capture(prediction, tables, order, share);
+    captures[name] = ranking.captured(share);
   }
   nlohmann::ordered_json json = {{"model", prediction.model},
                                  {"seconds", prediction.seconds},
@@ -146,14 +136,6 @@ std::string prediction_csv(const Prediction& prediction, const SceneTables& tabl
                        prediction.rays(voxel), tables.voxels[voxel].resident_bytes);
   }
   return csv;
-}
-
-std::string known_models() {
-  std::string names;
-  for (const std::string& name : prediction_models()) {
-    names += (names.empty() ? "" : ", ") + name;
-  }
-  return names;
 }
 
 Result<void> run_predict(const PredictOptions& options) {
@@ -194,7 +176,9 @@ void add_predict_command(CLI::App& app, Command& chosen) {
   CLI::App* const command =
       app.add_subcommand("predict", "Say how many rays each voxel would see, without tracing one");
   add_scene_options(*command, options->scene);
-  command->add_option("--model", options->model, "How to predict: " + known_models())
+  command
+      ->add_option("--model", options->model,
+                   fmt::format("How to predict: {}", fmt::join(prediction_models(), ", ")))
       ->type_name("MODEL")
       ->check(CLI::IsMember(prediction_models()))
       ->capture_default_str();

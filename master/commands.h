@@ -16,6 +16,7 @@ using Command = std::function<Result<void>()>;
 // Each declares its subcommand and options on `app`; parsing one sets `chosen`.
 void add_compare_command(CLI::App& app, Command& chosen);
 void add_compile_command(CLI::App& app, Command& chosen);
+void add_evaluate_command(CLI::App& app, Command& chosen);
 void add_inspect_command(CLI::App& app, Command& chosen);
 void add_predict_command(CLI::App& app, Command& chosen);
 void add_render_command(CLI::App& app, Command& chosen);

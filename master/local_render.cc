@@ -3,13 +3,12 @@
 #include <fmt/format.h>
 
 #include <chrono>
-#include <condition_variable>
 #include <memory>
-#include <mutex>
 #include <utility>
 #include <variant>
 #include <vector>
 
+#include "cache/doorbell.h"
 #include "cache/renderer.h"
 #include "common/content_hash.h"
 #include "master/signals.h"
@@ -22,28 +21,6 @@ using Clock = std::chrono::steady_clock;
 double seconds_since(Clock::time_point start) {
   return std::chrono::duration<double>(Clock::now() - start).count();
 }
-
-// Lets the owner sleep until the renderer has something to say.
-class Doorbell {
- public:
-  void ring() {
-    {
-      const std::lock_guard lock(mutex_);
-      rung_ = true;
-    }
-    condition_.notify_one();
-  }
-  void wait_for(std::chrono::milliseconds patience) {
-    std::unique_lock lock(mutex_);
-    condition_.wait_for(lock, patience, [this] { return rung_; });
-    rung_ = false;
-  }
-
- private:
-  std::mutex mutex_;
-  std::condition_variable condition_;
-  bool rung_ = false;
-};
 
 class LocalRender {
  public:

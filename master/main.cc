@@ -1,4 +1,4 @@
-// `preheat`: compiles, inspects, predicts, renders and compares. See README.md.
+// `preheat`: compiles, inspects, predicts, evaluates, renders and compares. See README.md.
 #include <fmt/format.h>
 
 #include <CLI/CLI.hpp>
@@ -31,8 +31,8 @@ int report_parse_end(const CLI::App& app, const CLI::ParseError& end, const char
 }
 
 int run(int argument_count, char** arguments) {
-  // The progress line and the summary are for everyone, events for those who ask. The workers that a
-  // render starts inherit this.
+  // The progress line and the summary are for everyone, events for those who ask. The workers that
+  // a render starts inherit this.
   ::setenv("PREHEAT_LOG", "warn", /*overwrite=*/0);
   set_up_logging("preheat");
   CLI::App app{
@@ -46,6 +46,7 @@ int run(int argument_count, char** arguments) {
   add_compile_command(app, chosen);
   add_inspect_command(app, chosen);
   add_predict_command(app, chosen);
+  add_evaluate_command(app, chosen);
   add_render_command(app, chosen);
   add_compare_command(app, chosen);
   app.footer(

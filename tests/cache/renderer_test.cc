@@ -49,6 +49,7 @@ RenderSettings small_settings() {
 struct Outcome {
   std::string sha256{};
   WorkerStats stats{};
+  std::vector<CellAccesses> accesses{};
 };
 
 // Plays the worker's event loop: every voxel that is asked for is delivered at once.
@@ -86,7 +87,7 @@ Outcome render(const GridStore& store, const RenderSettings& settings,
       EXPECT_FALSE(std::holds_alternative<RendererFailed>(event));
     }
   }
-  return {film.pixels_sha256(), renderer.stats()};
+  return {film.pixels_sha256(), renderer.stats(), renderer.accesses_by_cell()};
 }
 
 std::vector<VoxelId> every_voxel(const GridStore& store, std::uint32_t stride) {
@@ -158,6 +159,15 @@ TEST_F(RendererTest, CountingAccessesIsAPureFunctionOfTheScene) {
 
   EXPECT_GT(reference.stats.cache.accesses, 0U);
   EXPECT_EQ(outcome.stats.cache.accesses, reference.stats.cache.accesses);
+  ASSERT_EQ(outcome.accesses.size(), store_.blocks.size());
+  CellAccesses sum;
+  for (std::size_t voxel = 0; voxel < outcome.accesses.size(); ++voxel) {
+    EXPECT_EQ(outcome.accesses[voxel].camera, reference.accesses[voxel].camera);
+    EXPECT_EQ(outcome.accesses[voxel].scatter, reference.accesses[voxel].scatter);
+    EXPECT_EQ(outcome.accesses[voxel].shadow, reference.accesses[voxel].shadow);
+    sum.add(outcome.accesses[voxel]);
+  }
+  EXPECT_EQ(sum.total(), outcome.stats.cache.accesses);
   EXPECT_EQ(outcome.sha256, reference.sha256);
   EXPECT_LE(outcome.stats.cache.misses, outcome.stats.cache.accesses);
   EXPECT_EQ(outcome.stats.rays.total(), reference.stats.rays.total());

@@ -96,6 +96,31 @@ TEST_F(Program, PredictsAsTableJsonAndCsv) {
               HasSubstr("voxel,rays_camera,rays_scatter,rays_shadow,rays,resident_bytes\n0,"));
 }
 
+TEST_F(Program, EvaluatesModelsAsTableJsonCsvAndPage) {
+  const Outcome table = preheat(
+      "evaluate scene.obj --size 32x24 --spp 2 --threads 1 --models transport,profile "
+      "--json e.json --csv e.csv --html e.html --sweep --ablate");
+
+  ASSERT_EQ(table.exit_code, 0) << table.standard_error;
+  EXPECT_THAT(table.standard_output, HasSubstr("best possible"));
+  const auto json = nlohmann::json::parse(content("e.json"));
+  ASSERT_EQ(json["models"].size(), 2U);
+  EXPECT_EQ(json["models"][0]["name"], "transport");
+  EXPECT_GT(json["rays_counted"], 32 * 24 * 2);
+  EXPECT_GT(json["one_spp_seconds"], 0.0);
+  EXPECT_FALSE(json["sweep"].empty());
+  EXPECT_EQ(json["ablation"][0]["without"], "none");
+  EXPECT_THAT(content("e.csv"), HasSubstr("transport,0,"));
+  EXPECT_THAT(content("e.html"), HasSubstr("</html>"));
+
+  const Outcome leaves =
+      preheat("evaluate scene.obj --size 32x24 --spp 2 --models transport --unit node:1 --json -");
+  ASSERT_EQ(leaves.exit_code, 0) << leaves.standard_error;
+  const auto nodes = nlohmann::json::parse(leaves.standard_output);
+  EXPECT_EQ(nodes["unit"], "node:1");
+  EXPECT_TRUE(nodes["models"][0]["capture"].is_null());
+}
+
 struct Case {
   const char* name;
   const char* arguments;
@@ -132,6 +157,8 @@ INSTANTIATE_TEST_SUITE_P(
         Case{"address", "render scene.obj -o a.png --listen localhost", 2, "tcp://"},
         Case{"two_places", "render scene.obj -o a.png --local --workers 2", 2, "excludes"},
         Case{"model", "render scene.obj -o a.png --preload guess", 2, "guess"},
+        Case{"evaluate_model", "evaluate scene.obj --models transport,guess", 2, "guess"},
+        Case{"evaluate_unit", "evaluate scene.obj --unit node:99", 2, "node:99"},
         Case{"demo_size", "render demo:7 -o a.png", 2, "demo:7"},
         Case{"output_folder", "render scene.obj -o missing/a.png", 6, "missing/a.png"},
         Case{"report_folder", "render scene.obj -o a.png --report missing/a.json", 6,
@@ -142,7 +169,8 @@ INSTANTIATE_TEST_SUITE_P(
     [](const auto& test) { return std::string(test.param.name); });
 
 TEST_F(Program, ExplainsItself) {
-  for (const char* command : {"", "compile", "inspect", "predict", "render", "compare"}) {
+  for (const char* command :
+       {"", "compile", "inspect", "predict", "evaluate", "render", "compare"}) {
     const Outcome help = preheat(std::string(command) + " --help");
     EXPECT_EQ(help.exit_code, 0);
     EXPECT_THAT(help.standard_output, HasSubstr("Usage: preheat"));
