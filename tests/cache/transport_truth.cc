@@ -1,6 +1,10 @@
 #include "tests/cache/transport_truth.h"
 
+#if __has_include(<embree4/rtcore.h>)
+#include <embree4/rtcore.h>
+#else
 #include <embree3/rtcore.h>
+#endif
 #include <tbb/enumerable_thread_specific.h>
 #include <tbb/parallel_for.h>
 
@@ -178,9 +182,13 @@ class Tracer {
     query.ray.tfar = ray.t_max;
     query.ray.mask = 0xFFFFFFFFU;
     query.hit.geomID = RTC_INVALID_GEOMETRY_ID;
+#if RTC_VERSION_MAJOR >= 4
+    rtcIntersect1(scene_, &query);
+#else
     RTCIntersectContext context;
     rtcInitIntersectContext(&context);
     rtcIntersect1(scene_, &context, &query);
+#endif
     return query;
   }
 
