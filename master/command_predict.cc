@@ -141,14 +141,6 @@ std::string prediction_csv(const Prediction& prediction, const SceneTables& tabl
   return csv;
 }
 
-std::string known_models() {
-  std::string names;
-  for (const std::string& name : prediction_models()) {
-    names += (names.empty() ? "" : ", ") + name;
-  }
-  return names;
-}
-
 Result<void> run_predict(const PredictOptions& options) {
   for (const std::string& file : {options.json, options.csv}) {
     if (auto writable = check_text_output(file); !writable) { return writable; }
@@ -184,7 +176,7 @@ void add_predict_command(CLI::App& app, Command& chosen) {
   CLI::App* const command =
       app.add_subcommand("predict", "Say how many rays each voxel would see, without tracing one");
   add_scene_options(*command, options->scene);
-  command->add_option("--model", options->model, "How to predict: " + known_models())
+  command->add_option("--model", options->model, "How to predict")
       ->type_name("MODEL")
       ->check(CLI::IsMember(prediction_models()))
       ->capture_default_str();

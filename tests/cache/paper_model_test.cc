@@ -144,6 +144,16 @@ TEST_F(PaperModel, NamesAKnobThatIsOutOfRange) {
   }
 }
 
+TEST_F(PaperModel, RefusesMoreBinsThanItsTimeIsBoundedFor) {
+  compile(room(60));
+  ASSERT_GT(cut(5).cells.size(), 512U);
+  const auto prediction = run(settings_of(looking({0, 0, -0.5F}, Vec3(0.0F))),
+                              {.depth = 5, .bins_polar = 64, .bins_azimuth = 128});
+  ASSERT_FALSE(prediction);
+  EXPECT_EQ(prediction.error().code, ExitCode::kUsage);
+  EXPECT_THAT(prediction.error().message, HasSubstr("at most 4194304"));
+}
+
 // Section 4: pixels of the clipped projection times samples; section 7: times C_t.
 TEST_F(PaperModel, CountsPrimaryRaysByPixels) {
   compile(room(24));
