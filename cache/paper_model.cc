@@ -21,8 +21,9 @@
 namespace preheat {
 namespace {
 
-// Of two arrays of outgoing rays, by cell and bin.
-constexpr std::uint64_t kArrayEntriesMax = std::uint64_t{1} << 26U;
+// Cells times bins. Two arrays of outgoing rays have so many numbers each, and every bin of a cell
+// may be answered by all of its surfaces.
+constexpr std::uint64_t kArrayEntriesMax = std::uint64_t{1} << 22U;
 
 [[nodiscard]] Vec3d centre_of(const Aabb& box) { return 0.5 * (Vec3d(box.low) + Vec3d(box.high)); }
 

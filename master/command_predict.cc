@@ -1,5 +1,4 @@
 #include <fmt/format.h>
-#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <memory>
@@ -176,9 +175,7 @@ void add_predict_command(CLI::App& app, Command& chosen) {
   CLI::App* const command =
       app.add_subcommand("predict", "Say how many rays each voxel would see, without tracing one");
   add_scene_options(*command, options->scene);
-  command
-      ->add_option("--model", options->model,
-                   fmt::format("How to predict: {}", fmt::join(prediction_models(), ", ")))
+  command->add_option("--model", options->model, "How to predict")
       ->type_name("MODEL")
       ->check(CLI::IsMember(prediction_models()))
       ->capture_default_str();

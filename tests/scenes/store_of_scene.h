@@ -15,7 +15,19 @@
 
 namespace preheat::test {
 
-// Voxels are the highest octree nodes of at most so many references; their bounds are their cells.
+// Where the triangles' boxes lie in the cell, grown as voxels' bounds are.
+inline Aabb bounds_inside(const Scene& scene, const std::vector<std::uint32_t>& ids,
+                          const Aabb& cell) {
+  Aabb bounds;
+  for (const std::uint32_t id : ids) {
+    Aabb box;
+    for (const std::uint32_t v : scene.triangles[id].vertices) { box.extend(scene.positions[v]); }
+    bounds.extend(Aabb{glm::max(box.low, cell.low), glm::min(box.high, cell.high)});
+  }
+  return grown_cell(bounds);
+}
+
+// Voxels are the highest octree nodes of at most so many references, in Morton order.
 inline Result<Store> store_of_scene(const Scene& scene, std::uint32_t voxel_references_max,
                                     const std::filesystem::path& file,
                                     const OctreeLimits& limits = {}) {
@@ -60,7 +72,7 @@ inline Result<Store> store_of_scene(const Scene& scene, std::uint32_t voxel_refe
     ids.erase(std::unique(ids.begin(), ids.end()), ids.end());
     const std::vector<std::byte> block = encode_voxel_block(scene, ids);
     VoxelEntry entry;
-    entry.bounds = grown_cell(at.cell);
+    entry.bounds = bounds_inside(scene, ids, grown_cell(at.cell));
     entry.block_offset = writer->blocks_bytes();
     entry.block_bytes = static_cast<std::uint32_t>(block.size());
     entry.triangle_count = static_cast<std::uint32_t>(ids.size());

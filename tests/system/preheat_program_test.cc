@@ -121,6 +121,20 @@ TEST_F(Program, EvaluatesModelsAsTableJsonCsvAndPage) {
   EXPECT_TRUE(nodes["models"][0]["capture"].is_null());
 }
 
+TEST_F(Program, PredictsWithTheModelOfThePaperAndItsKnobs) {
+  const Outcome table = preheat(
+      "predict scene.obj --size 32x24 --spp 2 --model paper --paper-depth 1 --paper-bins 4x8 "
+      "--json p.json");
+
+  ASSERT_EQ(table.exit_code, 0) << table.standard_error;
+  EXPECT_THAT(table.standard_output, HasSubstr("cells of the octree cut at depth 1"));
+  const auto json = nlohmann::json::parse(content("p.json"));
+  EXPECT_EQ(json["model"], "paper");
+  EXPECT_EQ(json["nodes"]["depth"], 1);
+  EXPECT_EQ(json["nodes"]["unit"], "leaf traversals");
+  EXPECT_FALSE(json["nodes"]["rays_camera"].empty());
+}
+
 struct Case {
   const char* name;
   const char* arguments;
@@ -149,6 +163,7 @@ INSTANTIATE_TEST_SUITE_P(
         Case{"no_scene", "render -o a.png", 2, "SCENE is required"},
         Case{"no_output", "render scene.obj", 2, "--output is required"},
         Case{"unknown_option", "render scene.obj -o a.png --frobnicate", 2, "--frobnicate"},
+        Case{"paper_bins", "predict scene.obj --model paper --paper-bins 6x200", 2, "64x128"},
         Case{"image_format", "render scene.obj -o a.jpg", 2, ".png or .exr"},
         Case{"image_size", "render scene.obj -o a.png --size 0x5", 2, "1..65536"},
         Case{"samples", "render scene.obj -o a.png --spp 0", 2, "--spp: Value 0 not in range 1"},
