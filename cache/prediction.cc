@@ -7,6 +7,7 @@
 
 #include "cache/area_models.h"
 #include "cache/baseline_models.h"
+#include "cache/paper_model.h"
 #include "cache/profile_model.h"
 #include "cache/transport_model.h"
 
@@ -29,6 +30,7 @@ constexpr std::array kModels = {
     Model{"macdonald-booth", predict_macdonald_booth},
     Model{"none", always<predict_none>},
     Model{"oracle", predict_oracle},
+    Model{"paper", predict_paper},
     Model{"profile", predict_profile},
     Model{"random", always<predict_random>},
     Model{"subramanian-fussell", predict_subramanian_fussell},

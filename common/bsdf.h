@@ -103,6 +103,13 @@ struct BsdfSample {
   float index_squared = 1.0F;
 };
 
+// How often each lobe is sampled; they add up to 1, or to 0 where nothing scatters.
+struct LobeProbabilities {
+  float specular = 0.0F;
+  float diffuse = 0.0F;
+  float glass = 0.0F;
+};
+
 // The scattering function at a point seen from one direction. Directions are unit, point away from
 // the surface and are local: +z is the shading normal on the viewer's side.
 class Bsdf {
@@ -110,6 +117,12 @@ class Bsdf {
   // `front`: seen from the side of the geometric normal. Requires: out.z > 0. The material must
   // outlive this.
   Bsdf(const PreparedMaterial& material, const Vec3& out, bool front);
+
+  // The order of the lobes along sample()'s `u_lobe`.
+  [[nodiscard]] LobeProbabilities probabilities() const {
+    return {probability_specular_, probability_diffuse_, probability_glass_};
+  }
+  [[nodiscard]] const Vec3& out() const { return out_; }
 
   // Only delta lobes: a shadow ray could not contribute.
   [[nodiscard]] bool is_delta() const;

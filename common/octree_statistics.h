@@ -3,7 +3,9 @@
 
 #include <cstdint>
 
+#include "common/blocking.h"
 #include "common/octree.h"
+#include "common/octree_summary.h"
 #include "common/scene.h"
 
 namespace preheat {
@@ -24,8 +26,7 @@ struct OctreeStatistics {
 // blocking factor is at most 1: the paper's sum exceeds it where boxes hide one another.
 [[nodiscard]] OctreeStatistics measure_octree(const Scene& scene, const Octree& octree);
 
-// [P] section 2, C_t as printed, with 2^depth_mean leaves along a ray and the chance blocking_mean
-// in [0,1] that one of them stops it.
-[[nodiscard]] double traversal_cost(double depth_mean, double blocking_mean);
+// The same of what a store keeps of its octree.
+[[nodiscard]] OctreeStatistics statistics_of(const OctreeSums& sums);
 
 }  // namespace preheat

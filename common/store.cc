@@ -106,6 +106,7 @@ struct Store::Content {
   SceneTables tables{};
   std::vector<Camera> cameras{};
   Proxy proxy{};
+  OctreeSummary octree_summary{};
 
   [[nodiscard]] const StorePlace& place(StoreSection section) const {
     return header.sections[static_cast<std::size_t>(section)];
@@ -156,6 +157,8 @@ Result<Store> Store::open(const std::filesystem::path& file) {
     return decode_proxy(bytes, content->tables.voxels.size());
   });
   if (!read) { return tl::unexpected(read.error()); }
+  read = content->read(file, StoreSection::kOctree, content->octree_summary, decode_octree_summary);
+  if (!read) { return tl::unexpected(read.error()); }
 
   const std::uint64_t blocks_bytes = content->place(StoreSection::kBlocks).bytes;
   if (!content->tables.voxels.empty()) {  // blocks do not overlap, so the last one ends last
@@ -174,6 +177,7 @@ Result<Store> Store::open(const std::filesystem::path& file) {
 const SceneTables& Store::tables() const { return content_->tables; }
 const std::vector<Camera>& Store::cameras() const { return content_->cameras; }
 const Proxy& Store::proxy() const { return content_->proxy; }
+const OctreeSummary& Store::octree_summary() const { return content_->octree_summary; }
 const StoreInfo& Store::info() const { return content_->info; }
 
 std::span<const std::byte> Store::tables_bytes() const {

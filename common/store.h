@@ -1,5 +1,6 @@
 // The compiled scene on disk: header with section table, voxel blocks, facts, scene tables,
-// cameras, proxy. The exact layout is in store_format.h, the writer in store_writer.h.
+// cameras, proxy, octree summary. The exact layout is in store_format.h, the writer in
+// store_writer.h.
 //
 // Written once to a temporary name, synced and renamed. Read by mapping: opening checks magic,
 // version, every section's place and the tables' hashes, never the blocks, which each carry a hash
@@ -16,6 +17,7 @@
 #include <utility>
 #include <vector>
 
+#include "common/octree_summary.h"
 #include "common/proxy.h"
 #include "common/result.h"
 #include "common/scene.h"
@@ -23,7 +25,7 @@
 
 namespace preheat {
 
-inline constexpr std::uint32_t kStoreVersion = 1;
+inline constexpr std::uint32_t kStoreVersion = 2;
 
 // Facts about how the store was made, for inspect and the report.
 struct StoreInfo {
@@ -52,6 +54,7 @@ class Store {
   [[nodiscard]] const SceneTables& tables() const;
   [[nodiscard]] const std::vector<Camera>& cameras() const;
   [[nodiscard]] const Proxy& proxy() const;
+  [[nodiscard]] const OctreeSummary& octree_summary() const;
   [[nodiscard]] const StoreInfo& info() const;
 
   // The encoded scene tables, as sent to workers.

@@ -3,7 +3,8 @@
 //
 //   [0, 4096)          StoreHeader, then zeros
 //   [4096, ...)        voxel blocks, one behind the other, each a multiple of 16 bytes
-//   then, each from the next multiple of 16, with zeros between: facts, tables, cameras, proxy
+//   then, each from the next multiple of 16, with zeros between: facts, tables, cameras, proxy,
+//                     octree summary
 //
 // The blocks come first so that they are written as they are made, before their hashes, which the
 // tables hold, are known. All numbers are little-endian.
@@ -20,11 +21,11 @@
 
 namespace preheat {
 
-enum class StoreSection : std::uint8_t { kBlocks = 0, kInfo, kTables, kCameras, kProxy };
+enum class StoreSection : std::uint8_t { kBlocks = 0, kInfo, kTables, kCameras, kProxy, kOctree };
 
-inline constexpr std::size_t kStoreSectionCount = 5;
+inline constexpr std::size_t kStoreSectionCount = 6;
 inline constexpr std::array<const char*, kStoreSectionCount> kStoreSectionNames{
-    "blocks", "info", "tables", "cameras", "proxy"};
+    "blocks", "info", "tables", "cameras", "proxy", "octree"};
 inline constexpr std::uint64_t kStoreBlocksOffset = 4096;
 inline constexpr std::uint64_t kStoreSectionAlignment = 16;
 inline constexpr std::array<char, 8> kStoreMagic{'P', 'R', 'E', 'H', 'E', 'A', 'T', '\n'};

@@ -75,7 +75,8 @@ Result<void> StoreWriter::append_block(std::span<const std::byte> block) {
 }
 
 Result<void> StoreWriter::finish(const StoreInfo& info, const SceneTables& tables,
-                                 const std::vector<Camera>& cameras, const Proxy& proxy) {
+                                 const std::vector<Camera>& cameras, const Proxy& proxy,
+                                 const OctreeSummary& octree_summary) {
   StoreHeader header;
   header.sections[0] = {.offset = kStoreBlocksOffset, .bytes = blocks_bytes_};
   std::uint64_t end = kStoreBlocksOffset + blocks_bytes_;
@@ -84,7 +85,8 @@ Result<void> StoreWriter::finish(const StoreInfo& info, const SceneTables& table
        encode(info),
        encode_scene_tables(tables),
        encode(CameraSection{cameras}),
-       encode_proxy(proxy)}};
+       encode_proxy(proxy),
+       encode_octree_summary(octree_summary)}};
   for (std::size_t section = 1; section < kStoreSectionCount; ++section) {
     const std::vector<std::byte>& content = contents[section];
     const std::uint64_t offset = next_section_offset(end);

@@ -10,6 +10,7 @@
 #include <span>
 #include <vector>
 
+#include "common/octree_summary.h"
 #include "common/proxy.h"
 #include "common/result.h"
 #include "common/scene_tables.h"
@@ -32,7 +33,8 @@ class StoreWriter {
 
   // Writes the rest, syncs file and folder, and gives the file its name. Call once, last.
   [[nodiscard]] Result<void> finish(const StoreInfo& info, const SceneTables& tables,
-                                    const std::vector<Camera>& cameras, const Proxy& proxy);
+                                    const std::vector<Camera>& cameras, const Proxy& proxy,
+                                    const OctreeSummary& octree_summary);
 
  private:
   StoreWriter(std::filesystem::path file, std::filesystem::path temporary, int descriptor);

@@ -11,6 +11,7 @@
 #include "cache/prediction.h"
 #include "master/commands.h"
 #include "master/options.h"
+#include "master/prediction_knobs.h"
 #include "master/scene_source.h"
 #include "master/view.h"
 
@@ -18,11 +19,13 @@ namespace preheat {
 namespace {
 
 constexpr std::size_t kHottestPrinted = 10;
+constexpr std::size_t kCellsPrinted = 64;  // as many as [P] has
 
 struct PredictOptions {
   SceneOptions scene{};
   ViewOptions view{};
   std::string model = "transport";
+  PredictionKnobs knobs{};
   std::string json{};
   std::string csv{};
 };
@@ -43,6 +46,23 @@ struct Ranking {
   std::vector<double> bytes{};
   std::vector<std::size_t> order{};
 };
+
+// Leaf traversals of the octree's cells at the depth where the model stops.
+std::string nodes_table(const NodePrediction& nodes) {
+  if (nodes.rays_camera.empty()) { return ""; }
+  std::string table = fmt::format(
+      "\nleaf traversals of the {} cells of the octree cut at depth {}\n"
+      "{:>8} {:>12} {:>12} {:>12} {:>12}\n",
+      nodes.rays_camera.size(), nodes.depth, "cell", "camera", "scatter", "shadow", "traversals");
+  for (std::size_t cell = 0; cell < std::min(kCellsPrinted, nodes.rays_camera.size()); ++cell) {
+    table +=
+        fmt::format("{:>8} {:>12.5g} {:>12.5g} {:>12.5g} {:>12.5g}\n", cell,
+                    nodes.rays_camera[cell], nodes.rays_scatter[cell], nodes.rays_shadow[cell],
+                    nodes.rays_camera[cell] + nodes.rays_scatter[cell] + nodes.rays_shadow[cell]);
+  }
+  if (nodes.rays_camera.size() > kCellsPrinted) { table += "     ...\n"; }
+  return table;
+}
 
 std::string prediction_table(const Prediction& prediction, const SceneTables& tables) {
   const Ranking ranking(prediction, tables);
@@ -67,7 +87,7 @@ std::string prediction_table(const Prediction& prediction, const SceneTables& ta
                          prediction.rays_shadow[voxel], prediction.rays(voxel),
                          tables.voxels[voxel].resident_bytes);
   }
-  return table;
+  return table + nodes_table(prediction.nodes);
 }
 
 std::string prediction_json(const Prediction& prediction, const SceneTables& tables) {
@@ -77,19 +97,26 @@ std::string prediction_json(const Prediction& prediction, const SceneTables& tab
                                     std::pair{"0.25", 0.25}, std::pair{"0.5", 0.5}}) {
     captures[name] = ranking.captured(share);
   }
-  const nlohmann::ordered_json json = {{"model", prediction.model},
-                                       {"seconds", prediction.seconds},
-                                       {"rays_expected",
-                                        {{"camera", prediction.camera_total},
-                                         {"scatter", prediction.scatter_total},
-                                         {"shadow", prediction.shadow_total},
-                                         {"total", prediction.rays_total()}}},
-                                       {"voxels", tables.voxels.size()},
-                                       {"resident_bytes", tables.resident_bytes()},
-                                       {"capture_of_own_ranking", captures},
-                                       {"rays_camera", prediction.rays_camera},
-                                       {"rays_scatter", prediction.rays_scatter},
-                                       {"rays_shadow", prediction.rays_shadow}};
+  nlohmann::ordered_json json = {{"model", prediction.model},
+                                 {"seconds", prediction.seconds},
+                                 {"rays_expected",
+                                  {{"camera", prediction.camera_total},
+                                   {"scatter", prediction.scatter_total},
+                                   {"shadow", prediction.shadow_total},
+                                   {"total", prediction.rays_total()}}},
+                                 {"voxels", tables.voxels.size()},
+                                 {"resident_bytes", tables.resident_bytes()},
+                                 {"capture_of_own_ranking", captures},
+                                 {"rays_camera", prediction.rays_camera},
+                                 {"rays_scatter", prediction.rays_scatter},
+                                 {"rays_shadow", prediction.rays_shadow}};
+  if (!prediction.nodes.rays_camera.empty()) {
+    json["nodes"] = {{"unit", "leaf traversals"},
+                     {"depth", prediction.nodes.depth},
+                     {"rays_camera", prediction.nodes.rays_camera},
+                     {"rays_scatter", prediction.nodes.rays_scatter},
+                     {"rays_shadow", prediction.nodes.rays_shadow}};
+  }
   return json.dump(2) + "\n";
 }
 
@@ -103,6 +130,14 @@ std::string prediction_csv(const Prediction& prediction, const SceneTables& tabl
   return csv;
 }
 
+std::string known_models() {
+  std::string names;
+  for (const std::string& name : prediction_models()) {
+    names += (names.empty() ? "" : ", ") + name;
+  }
+  return names;
+}
+
 Result<void> run_predict(const PredictOptions& options) {
   for (const std::string& file : {options.json, options.csv}) {
     if (auto writable = check_text_output(file); !writable) { return writable; }
@@ -112,9 +147,10 @@ Result<void> run_predict(const PredictOptions& options) {
   const Store& store = opened->store;
   const auto view = resolve_view(store.tables(), store.cameras(), options.view);
   if (!view) { return tl::unexpected(view.error()); }
-  const auto prediction = predict(
-      options.model, PredictionInput{store.tables(), store.proxy(), view->settings,
-                                     std::max(1U, std::thread::hardware_concurrency()), &store});
+  const auto prediction =
+      predict(options.model, PredictionInput{store.tables(), store.proxy(), view->settings,
+                                             std::max(1U, std::thread::hardware_concurrency()),
+                                             &store, options.knobs});
   if (!prediction) { return tl::unexpected(prediction.error()); }
 
   if (options.json != "-" && options.csv != "-") {
@@ -137,13 +173,12 @@ void add_predict_command(CLI::App& app, Command& chosen) {
   CLI::App* const command =
       app.add_subcommand("predict", "Say how many rays each voxel would see, without tracing one");
   add_scene_options(*command, options->scene);
-  command
-      ->add_option("--model", options->model,
-                   fmt::format("How to predict: {}", fmt::join(prediction_models(), ", ")))
+  command->add_option("--model", options->model, "How to predict: " + known_models())
       ->type_name("MODEL")
       ->check(CLI::IsMember(prediction_models()))
       ->capture_default_str();
   add_view_options(*command, options->view);
+  add_prediction_knobs(*command, options->knobs);
   command->add_option("--json", options->json, "Write everything here; - for stdout")
       ->type_name("FILE");
   command->add_option("--csv", options->csv, "Write a line per voxel here; - for stdout")

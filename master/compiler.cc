@@ -12,6 +12,7 @@
 
 #include "common/content_hash.h"
 #include "common/octree_statistics.h"
+#include "common/octree_summary.h"
 #include "common/proxy.h"
 #include "common/scene_tables_codec.h"
 #include "common/store.h"
@@ -164,14 +165,16 @@ class StageClock {
   clock.log("octree", "triangles={} nodes={} references={}", scene.triangles.size(),
             octree.nodes.size(), octree.references.size());
 
-  StoreInfo info = describe(measure_octree(scene, octree));
+  const OctreeSummary summary = build_octree_summary(scene, octree);
+  StoreInfo info = describe(statistics_of(summary.sums()));
   info.source_file = shortened(source_file);
   info.source_hash = source_hash;
   info.import = shortened(scene.import);
   info.voxel_size_bytes =
       options.voxel_size_bytes == 0 ? default_voxel_size(scene) : options.voxel_size_bytes;
-  clock.log("statistics", "depth_mean={:.2f} blocking_mean={:.4f} traversal_cost={:.2f}",
-            info.depth_mean, info.blocking_mean, info.traversal_cost);
+  clock.log("statistics",
+            "depth_mean={:.2f} blocking_mean={:.4f} traversal_cost={:.2f} nodes_kept={}",
+            info.depth_mean, info.blocking_mean, info.traversal_cost, summary.nodes.size());
 
   VoxelCut cut = cut_into_voxels(scene, octree, info.voxel_size_bytes);
   clock.log("cut", "voxels={} voxel_size_bytes={}", cut.roots.size(), info.voxel_size_bytes);
@@ -193,7 +196,7 @@ class StageClock {
   }
   std::vector<Camera> cameras = scene.cameras;
   for (Camera& camera : cameras) { camera.name = shortened(camera.name); }
-  Result<void> finished = writer->finish(info, tables, cameras, proxy);
+  Result<void> finished = writer->finish(info, tables, cameras, proxy, summary);
   if (finished) { clock.log("store", "file={}", store_file.string()); }
   return finished;
 }

@@ -34,6 +34,7 @@ struct Parts {
   std::vector<std::vector<std::byte>> blocks{};
   SceneTables tables{};
   Proxy proxy{};
+  OctreeSummary summary{};
 
   Parts() {
     blocks = {encode_voxel_block(scene, std::vector<std::uint32_t>{0, 1, 2, 3, 4}),
@@ -59,6 +60,7 @@ struct Parts {
       if (octree.nodes[node].references_count > 0) { roots.push_back(node); }
     }
     proxy = build_proxy(scene, octree, roots);
+    summary = build_octree_summary(scene, octree);
   }
 };
 
@@ -68,7 +70,7 @@ Result<void> write(const Parts& parts, const std::filesystem::path& file) {
   for (const std::vector<std::byte>& block : parts.blocks) {
     if (Result<void> written = writer->append_block(block); !written) { return written; }
   }
-  return writer->finish(parts.info, parts.tables, parts.cameras, parts.proxy);
+  return writer->finish(parts.info, parts.tables, parts.cameras, parts.proxy, parts.summary);
 }
 
 std::string written_store(const ScratchFolder& folder) {
@@ -113,6 +115,7 @@ TEST(Store, GivesBackWhatWasWritten) {
   EXPECT_EQ(encode(store->info()), encode(parts.info));
   EXPECT_EQ(encode_scene_tables(store->tables()), encode_scene_tables(parts.tables));
   EXPECT_EQ(encode_proxy(store->proxy()), encode_proxy(parts.proxy));
+  EXPECT_EQ(encode_octree_summary(store->octree_summary()), encode_octree_summary(parts.summary));
   ASSERT_EQ(store->cameras().size(), 2U);
   EXPECT_EQ(store->cameras()[0].name, "front");
   EXPECT_EQ(store->cameras()[0].vertical_fov_rad, 0.5);
@@ -222,7 +225,7 @@ TEST(Store, OfAnotherKindOrVersionIsRefusedByName) {
   EXPECT_THAT(error_of(folder, std::string(5000, 'x')).message, HasSubstr("magic at offset 0"));
   const std::string newer =
       with_header(content, [](StoreHeader& header) { header.version = kStoreVersion + 1; });
-  EXPECT_THAT(error_of(folder, newer).message, HasSubstr("version 2 at offset 8"));
+  EXPECT_THAT(error_of(folder, newer).message, HasSubstr("version 3 at offset 8"));
 }
 
 // A header that is whole in itself but lies about its sections.
