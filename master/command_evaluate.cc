@@ -17,6 +17,7 @@
 #include "master/fine_octree.h"
 #include "master/knob_sweep.h"
 #include "master/options.h"
+#include "master/prediction_knobs.h"
 #include "master/scene_source.h"
 #include "master/view.h"
 
@@ -31,6 +32,7 @@ struct EvaluateOptions {
   SceneOptions scene{};
   ViewOptions view{};
   std::vector<std::string> models{};
+  PredictionKnobs knobs{};
   CountingUnit unit{};
   std::optional<unsigned> threads{};
   std::string json{};
@@ -171,10 +173,11 @@ class Evaluator {
 
   Result<void> judge_models() {
     for (const std::string& model : options_.models) {
-      Result<Judged> result = judged(model, input({}));
+      Result<Judged> result = judged(model, input(options_.knobs));
       if (!result) { return tl::unexpected(result.error()); }
-      record_.models.push_back({model, describe_knobs(model, {}), std::move(result->unit),
-                                std::move(result->judgement), std::move(result->estimated)});
+      record_.models.push_back({model, describe_knobs(model, options_.knobs),
+                                std::move(result->unit), std::move(result->judgement),
+                                std::move(result->estimated)});
     }
     return {};
   }
@@ -204,12 +207,11 @@ class Evaluator {
         record_.ablation.push_back({model, term, std::move(result->judgement)});
         return {};
       };
-      if (auto whole = add("none", input({})); !whole) { return whole; }
+      if (auto whole = add("none", input(options_.knobs)); !whole) { return whole; }
       for (const SceneTerm term : terms_of(store_.tables(), view_.settings)) {
         const AblatedScene scene = without(term, store_.tables(), view_.settings);
-        if (auto added =
-                add(name_of(term),
-                    {scene.tables, store_.proxy(), scene.settings, record_.threads, &store_, {}});
+        if (auto added = add(name_of(term), {scene.tables, store_.proxy(), scene.settings,
+                                             record_.threads, &store_, options_.knobs});
             !added) {
           return added;
         }
@@ -273,6 +275,7 @@ void add_evaluate_command(CLI::App& app, Command& chosen) {
                    "Threads of renders and predictions alike (default: all cores)")
       ->type_name("N")
       ->check(in_range(1U, kThreadsMax));
+  add_prediction_knobs(*command, options->knobs);
   command->add_flag("--sweep", options->sweep,
                     "Try each setting of the models' knobs: seconds against error");
   command->add_flag("--ablate", options->ablate,

@@ -126,8 +126,11 @@ Result<void> check_before(const RenderOptions& options) {
 
 Result<Prediction> predict_for(const RenderOptions& options, const Store& store,
                                const RenderSettings& settings) {
-  // In one process everything is hot: there is nothing to predict.
-  return predict(options.local ? "none" : options.preload,
+  // In one process everything is hot: only a report has a use for a prediction, to compare it with
+  // what was counted.
+  const bool is_compared =
+      !options.report.empty() && options.count_accesses != AccessCounting::kNone;
+  return predict(options.local && !is_compared ? "none" : options.preload,
                  PredictionInput{store.tables(), store.proxy(), settings,
                                  std::max(1U, std::thread::hardware_concurrency()), &store});
 }

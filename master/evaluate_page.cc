@@ -29,6 +29,7 @@ figcaption { font-size: 0.9rem; max-width: 30rem; }
 table { border-collapse: collapse; font-size: 0.9rem; font-variant-numeric: tabular-nums; }
 caption { text-align: left; padding: 0.25rem 0; }
 th, td { padding: 0.2rem 0.6rem; border-bottom: 1px solid var(--grid); text-align: right; }
+td { white-space: nowrap; }
 th:first-child, td:first-child { text-align: left; }
 thead th { background: var(--soft); }
 )css";
@@ -67,8 +68,7 @@ std::string figure_html(const Chart& chart, const std::string& caption) {
 }
 
 std::string capture_text(const std::optional<Captured>& captured, std::size_t share) {
-  return captured ? fmt::format("{:.2f} %", 100.0 * captured->shares[share])
-                  : std::string("\u2013");
+  return captured ? fmt::format("{:.2f}", 100.0 * captured->shares[share]) : std::string("\u2013");
 }
 
 // One look for each model, the same in every chart.
@@ -137,10 +137,13 @@ class Page {
   }
 
   [[nodiscard]] static Row model_heading(const std::string& first) {
-    return {first,      "seconds",           "of one sample", "alpha",
-            "beta",     "sigma / mean r",    "R\u00b2",       "Pearson",
-            "Spearman", "\u03a3e / \u03a3r", "capture 1 %",   "10 %",
-            "25 %",     "50 % of bytes"};
+    return {first,           "seconds",
+            "of one sample", "alpha",
+            "beta",          "sigma / mean r",
+            "R\u00b2",       "Pearson",
+            "Spearman",      "\u03a3e / \u03a3r",
+            "capture 1 %",   "10 %",
+            "25 %",          "50 % of bytes, in %"};
   }
 
   [[nodiscard]] std::string models() const {
@@ -174,7 +177,7 @@ class Page {
     chart.description =
         "One curve for each model and one for the counts themselves, which no model exceeds. The "
         "table of all models has the numbers.";
-    chart.x = {"share of the scene's bytes held", false, 0.0, 1.0};
+    chart.x = {"share of the scene's bytes held", true, 1e-3, 1.0};
     chart.y = {"share of accesses that find their voxel", false, 0.0, 1.0};
     chart.width = 760;
     chart.height = 440;
@@ -252,7 +255,10 @@ class Page {
       const ChartPoint at{trial.judgement->seconds, *error};
       series.points.push_back(at);
       front.points.push_back(at);
-      if (trial.is_knee) { chart.labels.push_back({at, trial.is_default ? "knee" : "knee*"}); }
+      // A model without knobs has no front to turn.
+      if (trial.is_knee && !trial.knobs.empty()) {
+        chart.labels.push_back({at, trial.is_default ? "knee" : "knee*"});
+      }
     }
     keep_front(front.points);
     for (auto& [name, series] : by_model) { chart.series.push_back(std::move(series)); }

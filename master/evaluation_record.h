@@ -97,7 +97,7 @@ struct EvaluationRecord {
 // Marks fronts and knees, once all settings are there.
 void mark_fronts(std::vector<SweepResult>& sweep);
 
-// "--json": keys as README.md documents them.
+// "--json". Tools read the keys: they stay.
 [[nodiscard]] nlohmann::ordered_json make_evaluation_json(const EvaluationRecord& record);
 
 // "--csv": the columns of [P] Table 4, for each model.

@@ -37,7 +37,7 @@ std::vector<PredictionKnobs> paper_settings() {
     change(knobs.paper);
     settings.push_back(knobs);
   };
-  for (const unsigned depth : {1U, 2U, 3U, 4U}) {
+  for (const unsigned depth : {1U, 2U, 3U}) {
     for (const PaperOcclusion occlusion : kOcclusions) {
       if (depth == standard.depth && occlusion == standard.occlusion) { continue; }
       add([&](PaperKnobs& knobs) {

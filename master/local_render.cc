@@ -10,6 +10,7 @@
 
 #include "cache/doorbell.h"
 #include "cache/renderer.h"
+#include "cache/tracer.h"
 #include "common/content_hash.h"
 #include "master/signals.h"
 
@@ -28,6 +29,7 @@ class LocalRender {
               const std::function<void(const MasterProgress&)>& progress)
       : store_(store),
         grid_{settings.width, settings.height, options.tile_size},
+        count_accesses_(options.count_accesses),
         progress_(progress),
         film_(settings.width, settings.height),
         renderer_(store.tables(), settings,
@@ -52,10 +54,22 @@ class LocalRender {
     MasterResult result{std::move(film_), {}, {renderer_.stats()}, 0.0, 0.0};
     result.preload_seconds = preload_seconds_ > 0.0 ? preload_seconds_ : 0.0;
     result.render_seconds = seconds_since(began) - result.preload_seconds;
+    result.accesses_by_voxel = accesses_by_voxel();
     return result;
   }
 
  private:
+  [[nodiscard]] std::vector<double> accesses_by_voxel() const {
+    std::vector<double> accesses;
+    if (count_accesses_ == AccessCounting::kNone) { return accesses; }
+    const double scale =
+        count_accesses_ == AccessCounting::kSampled ? double{Tracer::kAccessSampling} : 1.0;
+    for (const CellAccesses& voxel : renderer_.accesses_by_cell()) {
+      accesses.push_back(scale * static_cast<double>(voxel.total()));
+    }
+    return accesses;
+  }
+
   Result<void> preload() {
     started_ = Clock::now();
     std::vector<VoxelId> voxels;
@@ -107,6 +121,7 @@ class LocalRender {
 
   const Store& store_;
   TileGrid grid_;
+  AccessCounting count_accesses_;
   const std::function<void(const MasterProgress&)>& progress_;
   Film film_;
   std::uint32_t tiles_done_ = 0;

@@ -66,6 +66,9 @@ struct MasterResult {
   std::vector<WorkerStats> workers{};  // by WorkerId; lost workers keep their last word
   double preload_seconds = 0.0;        // first worker accepted to first tile begun
   double render_seconds = 0.0;
+  // Rays that entered each voxel, [voxel_count], scaled up where sampled; empty where not known:
+  // workers send their sums, not their voxels'.
+  std::vector<double> accesses_by_voxel{};
   std::vector<TileId> poisoned_tiles{};  // given up and black: the program ends with kPoisonedTile
 };
 

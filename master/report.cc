@@ -3,8 +3,10 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <optional>
 #include <vector>
 
+#include "cache/evaluation.h"
 #include "common/content_hash.h"
 
 namespace preheat {
@@ -112,6 +114,47 @@ Json workers_json(const std::vector<WorkerStats>& workers) {
   return json;
 }
 
+// The share of the bytes that capture is compared at.
+constexpr double kCaptureShare = 0.25;
+
+Json json_of(const std::optional<double>& value) { return value ? Json(*value) : Json(nullptr); }
+
+// What was predicted against what was counted, voxel by voxel.
+Json prediction_error_json(const Prediction& prediction, const std::vector<double>& counted,
+                           const std::vector<VoxelEntry>& voxels) {
+  std::vector<double> expected;
+  std::vector<double> bytes;
+  for (std::size_t voxel = 0; voxel < counted.size(); ++voxel) {
+    expected.push_back(prediction.rays(voxel));
+    bytes.push_back(static_cast<double>(voxels[voxel].resident_bytes));
+  }
+  const Evaluation evaluation = evaluate(expected, counted);
+  return {
+      {"total_ratio", json_of(evaluation.total_ratio)},
+      {"r2", json_of(evaluation.r2)},
+      {"slope", json_of(evaluation.beta)},
+      {"capture_at_0.25", capture(hottest_first(expected, bytes), counted, bytes, kCaptureShare)},
+      {"capture_at_0.25_best",
+       capture(hottest_first(counted, bytes), counted, bytes, kCaptureShare)}};
+}
+
+Json prediction_json(const RenderRecord& record) {
+  const Prediction& prediction = *record.prediction;
+  const std::vector<double>& counted = record.result->accesses_by_voxel;
+  Json json = {{"model", prediction.model},
+               {"seconds", prediction.seconds},
+               {"rays_expected", prediction.rays_total()},
+               {"error", nullptr}};
+  if (prediction.model == "none") {
+    json["error_unknown"] = "nothing was predicted";
+  } else if (counted.empty()) {
+    json["error_unknown"] = "accesses were not counted voxel by voxel";
+  } else {
+    json["error"] = prediction_error_json(prediction, counted, record.store->tables().voxels);
+  }
+  return json;
+}
+
 std::string in_mib(std::uint64_t bytes) {
   return fmt::format("{:.1f} MiB", static_cast<double>(bytes) / 1048576.0);
 }
@@ -134,9 +177,7 @@ nlohmann::ordered_json make_report(const RenderRecord& record) {
                      {"spp", settings.spp},
                      {"pixels_sha256", record.pixels_sha256},
                      {"standard_error", result.film.standard_error()}};
-  report["prediction"] = {{"model", record.prediction->model},
-                          {"seconds", record.prediction->seconds},
-                          {"rays_expected", record.prediction->rays_total()}};
+  report["prediction"] = prediction_json(record);
   report["preload"] = {{"voxels", sum.preload.voxels},
                        {"bytes", sum.preload.bytes},
                        {"seconds", sum.preload.seconds}};

@@ -17,7 +17,7 @@ constexpr double kRight = 14.0;
 constexpr double kTop = 12.0;
 constexpr double kBottom = 48.0;
 constexpr double kLegendRow = 18.0;
-constexpr double kLegendColumn = 150.0;
+constexpr double kLegendColumn = 165.0;
 constexpr double kMarkRadius = 4.5;
 
 // A value's place along an axis, in the chart's units.

@@ -50,7 +50,7 @@ TEST(Prediction, RefusesAnUnknownModelAndListsTheKnown) {
 TEST(Prediction, EveryModelAnswersForAnEmptyScene) {
   const SceneTables tables;
   for (const std::string& model : prediction_models()) {
-    if (model == "profile" || model == "oracle") { continue; }  // they render
+    if (model == "paper" || model == "profile" || model == "oracle") { continue; }  // read a store
     SCOPED_TRACE(model);
     const Prediction prediction = predicted(model, tables);
     EXPECT_EQ(prediction.model, model);

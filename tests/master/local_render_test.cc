@@ -62,6 +62,9 @@ TEST_F(LocalRender, SeesTheFloorUnderTheSkyWithoutAMiss) {
   const WorkerStats& stats = result->workers[0];
   EXPECT_EQ(stats.rays.camera, 48U * 40U * 4U);
   EXPECT_GT(stats.cache.accesses, 0U);
+  double accesses = 0.0;
+  for (const double voxel : result->accesses_by_voxel) { accesses += voxel; }
+  EXPECT_EQ(accesses, static_cast<double>(stats.cache.accesses));
   EXPECT_EQ(stats.cache.misses, 0U);
   EXPECT_EQ(stats.cache.remote_fetches, 0U);
   // The corner sees the sky of radiance 1, the middle a floor that reflects less than it receives.

@@ -131,6 +131,33 @@ TEST_F(Report, WithoutAccessesThereIsNoHitRate) {
   EXPECT_NE(make_summary(record_).find("not counted"), std::string::npos);
 }
 
+TEST_F(Report, ComparesThePredictionWithWhatWasCountedVoxelByVoxel) {
+  ASSERT_EQ(opened_->store.tables().voxels.size(), 1U);
+  prediction_.rays_camera = {30.0};
+  prediction_.rays_scatter = {20.0};
+  prediction_.rays_shadow = {10.0};
+  result_.accesses_by_voxel = {40.0};
+
+  const nlohmann::json error = make_report(record_)["prediction"]["error"];
+
+  EXPECT_EQ(error["total_ratio"], 1.5);
+  EXPECT_EQ(error["capture_at_0.25"], 0.25);
+  EXPECT_EQ(error["capture_at_0.25_best"], 0.25);
+  EXPECT_TRUE(error["r2"].is_null());  // one voxel
+  EXPECT_TRUE(error["slope"].is_null());
+}
+
+TEST_F(Report, SaysWhyAPredictionCannotBeCompared) {
+  nlohmann::json prediction = make_report(record_)["prediction"];
+  EXPECT_TRUE(prediction["error"].is_null());
+  EXPECT_EQ(prediction["error_unknown"], "accesses were not counted voxel by voxel");
+
+  prediction_.model = "none";
+  prediction = make_report(record_)["prediction"];
+  EXPECT_TRUE(prediction["error"].is_null());
+  EXPECT_EQ(prediction["error_unknown"], "nothing was predicted");
+}
+
 TEST_F(Report, TheSkyIsAFeatureOfTheRenderAndNotOfTheScene) {
   const nlohmann::json report = make_report(record_);
 

@@ -62,6 +62,8 @@ TEST_F(Program, RendersAnObjectUnderTheSkyAndReportsIt) {
   EXPECT_EQ(report["image"]["width"], 32);
   EXPECT_EQ(report["rays"]["camera"], 32 * 24 * 2);
   EXPECT_EQ(report["scene"]["triangles"], 2);
+  EXPECT_EQ(report["prediction"]["model"], "transport");
+  EXPECT_GT(report["prediction"]["error"]["total_ratio"], 0.5);
   EXPECT_THAT(report["settings"]["sky_source"].get<std::string>(), HasSubstr("no light"));
 }
 
