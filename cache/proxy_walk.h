@@ -6,6 +6,7 @@
 // Threads: a ProxyWalk is immutable; any thread may walk.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <limits>
 #include <span>
@@ -37,6 +38,12 @@ struct ProxyStop {
   ProxyOrigin leaf{};
 };
 
+// The boxes of up to eight children, by coordinate.
+struct alignas(16) BoxesOfEight {
+  std::array<std::array<float, 8>, 3> low{};
+  std::array<std::array<float, 8>, 3> high{};
+};
+
 class ProxyWalk {
  public:
   // An error where tables and proxy do not belong together. Both must outlive the walk.
@@ -53,6 +60,7 @@ class ProxyWalk {
 
   const SceneTables* tables_;
   const Proxy* proxy_;
+  std::vector<BoxesOfEight> children_{};  // [voxel_nodes] of each, unused for leaves
 };
 
 }  // namespace preheat

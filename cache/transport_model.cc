@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <cmath>
 #include <cstdint>
 #include <string>
@@ -33,25 +34,97 @@ struct Counts {
   std::array<std::uint64_t, kRayTypes> rays{};
 };
 
-// The image as one pixel. A pixel's samples are spread evenly over it and, at every vertex, over
-// lights and directions (common/rng.h): so are, then, the paths over the image.
-RenderSettings one_pixel(RenderSettings settings) {
-  settings.width = 1;
-  settings.height = 1;
+// The image is cut into so many cells a side at most, each with the same number of paths.
+constexpr std::uint32_t kCellsPerSideMax = 64;
+
+// The image as so many pixels a side, the cells. A pixel's samples are spread evenly over it, and,
+// at every vertex, over lights and directions (common/rng.h).
+RenderSettings with_cells(RenderSettings settings, std::uint32_t cells_per_side) {
+  settings.width = cells_per_side;
+  settings.height = cells_per_side;
   return settings;
+}
+
+// Where the image may show a box: in cells, from the lowest to the highest. The whole image where
+// the box reaches behind the camera.
+struct CellRange {
+  float low_x = kInfinity;
+  float low_y = kInfinity;
+  float high_x = -kInfinity;
+  float high_y = -kInfinity;
+};
+
+CellRange cells_of(const Aabb& box, const View& view, float cells_per_side) {
+  const Vec3 right = view.right / glm::dot(view.right, view.right);
+  const Vec3 up = view.up / glm::dot(view.up, view.up);
+  CellRange range;
+  for (unsigned corner = 0; corner < 8; ++corner) {
+    const Vec3 at((corner & 1U) != 0 ? box.high.x : box.low.x,
+                  (corner & 2U) != 0 ? box.high.y : box.low.y,
+                  (corner & 4U) != 0 ? box.high.z : box.low.z);
+    const Vec3 from_eye = at - view.origin;
+    const float depth = view.orthographic ? 1.0F : glm::dot(from_eye, view.forward);
+    if (!(depth > 1e-6F)) { return {0.0F, 0.0F, cells_per_side, cells_per_side}; }
+    const float x = (0.5F + 0.5F * glm::dot(from_eye, right) / depth) * cells_per_side;
+    const float y = (0.5F - 0.5F * glm::dot(from_eye, up) / depth) * cells_per_side;
+    range.low_x = std::min(range.low_x, x);
+    range.low_y = std::min(range.low_y, y);
+    range.high_x = std::max(range.high_x, x);
+    range.high_y = std::max(range.high_y, y);
+  }
+  return range;
+}
+
+// The cells in which the view may show a voxel, in Morton order, so that neighbours in the image
+// are neighbours in the sequence of paths; a ray through any other cell meets nothing.
+std::vector<std::uint32_t> cells_shown(const SceneTables& tables, const View& view,
+                                       std::uint32_t cells_per_side) {
+  const auto side = static_cast<float>(cells_per_side);
+  std::vector<bool> is_shown(std::size_t{cells_per_side} * cells_per_side, false);
+  for (const VoxelEntry& voxel : tables.voxels) {
+    const CellRange range = cells_of(voxel.bounds, view, side);
+    // A margin for the rounding of both this and the camera's rays.
+    constexpr float kMargin = 1e-3F;
+    if (!(range.low_x <= side + kMargin && range.high_x >= -kMargin &&
+          range.low_y <= side + kMargin && range.high_y >= -kMargin)) {
+      continue;
+    }
+    const auto cell = [&](float at) {
+      return static_cast<std::uint32_t>(std::clamp(at, 0.0F, side - 1.0F));
+    };
+    for (std::uint32_t y = cell(range.low_y - kMargin); y <= cell(range.high_y + kMargin); ++y) {
+      for (std::uint32_t x = cell(range.low_x - kMargin); x <= cell(range.high_x + kMargin); ++x) {
+        is_shown[std::size_t{y} * cells_per_side + x] = true;
+      }
+    }
+  }
+  std::vector<std::uint32_t> shown;
+  for (std::uint32_t code = 0; code < cells_per_side * cells_per_side; ++code) {
+    std::uint32_t x = 0;
+    std::uint32_t y = 0;
+    for (std::uint32_t bit = 0; bit < 16; ++bit) {
+      x |= (code >> (2 * bit) & 1U) << bit;
+      y |= (code >> (2 * bit + 1) & 1U) << bit;
+    }
+    if (is_shown[std::size_t{y} * cells_per_side + x]) { shown.push_back(y * cells_per_side + x); }
+  }
+  return shown;
 }
 
 class TransportTracer {
  public:
-  TransportTracer(const PredictionInput& input, const ProxyWalk& walk)
+  TransportTracer(const PredictionInput& input, const ProxyWalk& walk, std::uint32_t cells_per_side)
       : input_(input),
         walk_(walk),
-        shading_(input.tables, one_pixel(input.settings)),
+        shading_(input.tables, with_cells(input.settings, cells_per_side)),
         leaf_rng_(~input.settings.seed) {}
 
-  void trace(std::uint32_t index, Counts& counts) const {
+  // One path of a cell. Behind the camera all paths, numbered by `index`, are samples of one pixel.
+  void trace(std::uint32_t cell, std::uint32_t sample, std::uint32_t index, Counts& counts) const {
     PathState path;
-    Ray ray = shading_.start_path(0, index, path);
+    Ray ray = shading_.start_path(cell, sample, path);
+    path.pixel = 0;
+    path.sample = index;
     RayType type = kCamera;
     ProxyOrigin origin;
     for (std::uint32_t bounce = 0; bounce <= input_.settings.bounces; ++bounce) {
@@ -156,9 +229,9 @@ class TransportTracer {
 // of the paths together, which complement each other.
 class Estimate {
  public:
-  Estimate(const std::vector<Counts>& batches, std::size_t voxel_count, std::uint64_t paths,
-           double samples)
-      : batches_(batches), voxel_count_(voxel_count), paths_(paths), samples_(samples) {}
+  // Each path stands for so many samples of the image.
+  Estimate(const std::vector<Counts>& batches, std::size_t voxel_count, double samples_per_path)
+      : batches_(batches), voxel_count_(voxel_count), samples_per_path_(samples_per_path) {}
 
   [[nodiscard]] std::vector<double> accesses(RayType type) const {
     std::vector<double> sum(voxel_count_, 0.0);
@@ -215,14 +288,11 @@ class Estimate {
     }
   };
 
-  [[nodiscard]] double scaled(double sum) const {
-    return sum * samples_ / static_cast<double>(paths_);
-  }
+  [[nodiscard]] double scaled(double sum) const { return sum * samples_per_path_; }
 
   const std::vector<Counts>& batches_;
   std::size_t voxel_count_;
-  std::uint64_t paths_;
-  double samples_;
+  double samples_per_path_;
 };
 
 }  // namespace
@@ -235,29 +305,35 @@ Result<Prediction> predict_transport(const PredictionInput& input) {
     return fail(ExitCode::kUsage, "transport: " + std::to_string(paths_wanted) +
                                       " paths, at most " + std::to_string(kTransportPathsMax));
   }
-  const std::uint32_t batch_paths =
-      ((paths_wanted == 0 ? kPathsDefault : paths_wanted) + kBatches - 1) / kBatches;
-  const TransportTracer tracer(input, *walk);
+  const std::uint32_t paths = paths_wanted == 0 ? kPathsDefault : paths_wanted;
+  const std::uint32_t cells_per_side =
+      std::min(kCellsPerSideMax, std::bit_floor(static_cast<std::uint32_t>(std::sqrt(paths))));
+  const std::vector<std::uint32_t> cells =
+      cells_shown(input.tables, input.settings.view, cells_per_side);
+  const auto cell_count = static_cast<std::uint32_t>(cells.size());
+  const std::uint32_t cell_paths = cells.empty() ? 0 : (paths + cell_count / 2) / cell_count;
+  const TransportTracer tracer(input, *walk, cells_per_side);
   const std::size_t voxel_count = input.tables.voxels.size();
   std::vector<Counts> batches(kBatches);
   tbb::task_arena arena(static_cast<int>(std::max(1U, input.threads)));
   arena.execute([&] {
     tbb::parallel_for(0U, kBatches, [&](std::uint32_t batch) {
       for (auto& type : batches[batch].accesses) { type.resize(voxel_count, 0.0); }
-      for (std::uint32_t i = 0; i < batch_paths; ++i) {
-        tracer.trace(batch * batch_paths + i, batches[batch]);
+      for (std::uint32_t index = batch; index < cell_count * cell_paths; index += kBatches) {
+        tracer.trace(cells[index / cell_paths], index % cell_paths, index, batches[batch]);
       }
     });
   });
   const RenderSettings& settings = input.settings;
   const double samples = static_cast<double>(settings.width) *
                          static_cast<double>(settings.height) * static_cast<double>(settings.spp);
-  const Estimate estimate(batches, voxel_count, std::uint64_t{kBatches} * batch_paths, samples);
+  const double cells_all = static_cast<double>(cells_per_side) * cells_per_side;
+  const Estimate estimate(batches, voxel_count, samples / (cells_all * std::max(1U, cell_paths)));
   Prediction prediction;
   prediction.rays_camera = estimate.accesses(kCamera);
   prediction.rays_scatter = estimate.accesses(kScatter);
   prediction.rays_shadow = estimate.accesses(kShadow);
-  prediction.camera_total = estimate.rays(kCamera);
+  prediction.camera_total = samples;
   prediction.scatter_total = estimate.rays(kScatter);
   prediction.shadow_total = estimate.rays(kShadow);
   prediction.rays_total_error = estimate.rays_total_error();

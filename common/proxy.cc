@@ -940,19 +940,24 @@ std::uint64_t build_voxel_tree(const Scene& scene, const Octree& octree, std::ui
   sort_unique(triangles);
   std::vector<std::uint32_t> vertices;
   vertices.reserve(triangles.size() * 3);
+  bool has_normals = false;
   for (const std::uint32_t id : triangles) {
-    const Triangle& triangle = scene.triangles[id];
-    vertices.insert(vertices.end(), triangle.vertices.begin(), triangle.vertices.end());
+    for (const std::uint32_t vertex : scene.triangles[id].vertices) {
+      vertices.push_back(vertex);
+      has_normals = has_normals || scene.normals[vertex] != Vec3(0.0F);
+    }
   }
   sort_unique(vertices);
   VoxelTreeBuilder(tree).build(pieces_in_cell(scene, triangles, tree.cell),
                                kLeavesPerVoxelFree + triangles.size() / kTrianglesPerLeafMin);
-  return voxel_block_bytes(vertices.size(), triangles.size(), false) + kDirectoryBytesPerVoxel;
+  return voxel_block_bytes(vertices.size(), triangles.size(), has_normals) +
+         kDirectoryBytesPerVoxel;
 }
 
 // Keeps the splits of largest error, over all voxels, whose bytes fit. A voxel's errors never grow
 // along its splits, so what is kept of it is always a prefix: a tree.
-void keep_splits(std::vector<VoxelTree>& trees, std::uint64_t store_bytes) {
+void keep_splits(std::vector<VoxelTree>& trees, std::uint64_t store_bytes,
+                 std::uint64_t fixed_bytes) {
   struct Split {
     float error = 0.0F;
     std::uint32_t voxel = 0;
@@ -969,7 +974,7 @@ void keep_splits(std::vector<VoxelTree>& trees, std::uint64_t store_bytes) {
     return a.voxel != b.voxel ? a.voxel < b.voxel : a.index < b.index;
   });
   const auto budget = static_cast<std::uint64_t>(static_cast<double>(store_bytes) * kProxyShareMax);
-  std::uint64_t bytes = trees.size() * (kCellBytes + 1 + sizeof(ProxyRecord));
+  std::uint64_t bytes = fixed_bytes + trees.size() * (kCellBytes + 1 + sizeof(ProxyRecord));
   for (const Split& split : all) {
     VoxelTree& tree = trees[split.voxel];
     bytes += tree.splits[split.index].added * sizeof(ProxyRecord) + kInnerNodeBytes;
@@ -1208,7 +1213,7 @@ float record_plane_offset(const ProxyRecord& record, const Vec3& normal, const A
 }
 
 Proxy build_proxy(const Scene& scene, const Octree& octree,
-                  std::span<const std::uint32_t> voxel_roots) {
+                  std::span<const std::uint32_t> voxel_roots, std::uint64_t store_bytes_other) {
   std::vector<VoxelTree> trees(voxel_roots.size());
   const std::vector<Aabb> cells = voxel_cells(octree, voxel_roots);
   std::vector<std::uint64_t> bytes(voxel_roots.size());
@@ -1216,9 +1221,10 @@ Proxy build_proxy(const Scene& scene, const Octree& octree,
     trees[voxel].cell = cells[voxel];
     bytes[voxel] = build_voxel_tree(scene, octree, voxel_roots[voxel], trees[voxel]);
   });
-  std::uint64_t store_bytes = 0;
+  std::uint64_t store_bytes = store_bytes_other;
   for (const std::uint64_t voxel_bytes : bytes) { store_bytes += voxel_bytes; }
-  keep_splits(trees, store_bytes);
+  // No record names a material that the scene does not have.
+  keep_splits(trees, store_bytes, sizeof(Header) + sizeof(std::uint32_t) * scene.materials.size());
 
   Packed packed;
   MaterialPalette palette;

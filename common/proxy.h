@@ -5,8 +5,8 @@
 // one leaf however many triangles it has, a chair gets many. A record says where the geometry of
 // its cell lies, how likely it stops a ray, and of what material it is.
 //
-// Bound: the encoded proxy is at most kProxyShareMax of the voxel blocks and their directory, but
-// holds at least one record per voxel. Same bytes on any number of threads.
+// Bound: the encoded proxy is at most kProxyShareMax of what else the store is known to hold, but
+// has at least one record per voxel. Same bytes on any number of threads.
 #pragma once
 
 #include <array>
@@ -22,8 +22,8 @@
 
 namespace preheat {
 
-inline constexpr double kProxyShareMax = 0.095;
-inline constexpr unsigned kProxyDepthMax = 24;                 // levels below a voxel
+inline constexpr double kProxyShareMax = 0.108;  // of the rest: less than a tenth of the whole
+inline constexpr unsigned kProxyDepthMax = 24;   // levels below a voxel
 inline constexpr float kProxyExtentMin = 2.0F * kVoxelMargin;  // of a leaf's bounds along an axis
 
 // The geometry inside one cell, as stored, little-endian.
@@ -100,9 +100,10 @@ struct Proxy {
 };
 
 // `voxel_roots[v]` is the octree node whose subtree is voxel v; the nodes above it hold no leaf
-// with references.
+// with references. The store holds `store_bytes_other` beside the voxel blocks and their directory.
 [[nodiscard]] Proxy build_proxy(const Scene& scene, const Octree& octree,
-                                std::span<const std::uint32_t> voxel_roots);
+                                std::span<const std::uint32_t> voxel_roots,
+                                std::uint64_t store_bytes_other = 0);
 
 [[nodiscard]] std::vector<std::byte> encode_proxy(const Proxy& proxy);
 

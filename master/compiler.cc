@@ -188,7 +188,7 @@ class StageClock {
   clock.log("blocks", "bytes={} resident_bytes={}", writer->blocks_bytes(),
             tables.resident_bytes());
 
-  const Proxy proxy = build_proxy(scene, octree, cut.roots);
+  const Proxy proxy = build_proxy(scene, octree, cut.roots, kStoreBlocksOffset);
   clock.log("proxy", "voxels={}", cut.roots.size());
 
   if (const Result<void> valid = validate_scene_tables(tables); !valid) {
