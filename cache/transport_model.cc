@@ -19,7 +19,11 @@
 namespace preheat {
 namespace {
 
-// Doubling it halves the sampling error, which is below that of the proxy itself from here on.
+// The knee of speed against error. Over 23 views of 18 scenes at 1024x1024, the median of 1 - R^2,
+// the median capture lost at the worst of 1, 10, 25 and 50 % of the bytes, and milliseconds in all:
+//   1024 paths .0044 .015 499, 2048 .0028 .007 677, 4096 .0015 .005 1016,
+//   8192 .0013 .002 1835, 16384 .0013 .002 3495.
+// From here on the proxy errs more than its sampling, and time doubles with the paths.
 constexpr std::uint32_t kPathsDefault = 4096;
 
 // The paths are traced in so many parts: what threads share out, and what the standard error is
@@ -46,7 +50,7 @@ RenderSettings with_cells(RenderSettings settings, std::uint32_t cells_per_side)
 }
 
 // Where the image may show a box: in cells, from the lowest to the highest. The whole image where
-// the box reaches behind the camera.
+// the box reaches behind the camera, nothing where all of it is there.
 struct CellRange {
   float low_x = kInfinity;
   float low_y = kInfinity;
@@ -55,16 +59,21 @@ struct CellRange {
 };
 
 CellRange cells_of(const Aabb& box, const View& view, float cells_per_side) {
+  constexpr float kDepthMin = 1e-6F;  // nothing is seen nearer: voxel bounds are grown by as much
   const Vec3 right = view.right / glm::dot(view.right, view.right);
   const Vec3 up = view.up / glm::dot(view.up, view.up);
   CellRange range;
+  unsigned behind = 0;
   for (unsigned corner = 0; corner < 8; ++corner) {
     const Vec3 at((corner & 1U) != 0 ? box.high.x : box.low.x,
                   (corner & 2U) != 0 ? box.high.y : box.low.y,
                   (corner & 4U) != 0 ? box.high.z : box.low.z);
     const Vec3 from_eye = at - view.origin;
     const float depth = view.orthographic ? 1.0F : glm::dot(from_eye, view.forward);
-    if (!(depth > 1e-6F)) { return {0.0F, 0.0F, cells_per_side, cells_per_side}; }
+    if (!(depth > kDepthMin)) {
+      ++behind;
+      continue;
+    }
     const float x = (0.5F + 0.5F * glm::dot(from_eye, right) / depth) * cells_per_side;
     const float y = (0.5F - 0.5F * glm::dot(from_eye, up) / depth) * cells_per_side;
     range.low_x = std::min(range.low_x, x);
@@ -72,7 +81,8 @@ CellRange cells_of(const Aabb& box, const View& view, float cells_per_side) {
     range.high_x = std::max(range.high_x, x);
     range.high_y = std::max(range.high_y, y);
   }
-  return range;
+  if (behind == 0 || behind == 8) { return range; }
+  return {0.0F, 0.0F, cells_per_side, cells_per_side};
 }
 
 // The cells in which the view may show a voxel, in Morton order, so that neighbours in the image

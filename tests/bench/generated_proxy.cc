@@ -5,7 +5,6 @@
 #include <utility>
 #include <vector>
 
-#include "common/check.h"
 #include "common/voxel_block.h"
 
 namespace preheat {
@@ -58,19 +57,17 @@ void add_voxel_tree(const Aabb& cell, Proxy& proxy) {
     const Place place = places[at];
     ProxyNode node;
     node.bounds = place.cell;
-    if (place.depth == kLeafDepth) {
-      node.first = static_cast<std::uint32_t>(proxy.records.size());
-      proxy.records.push_back(record_of(place.cell));
-    } else {
-      node.first = static_cast<std::uint32_t>(begin + places.size());
-      for (unsigned octant = 0; octant < 8; ++octant) {
-        const Aabb child = child_cell(place.cell, octant);
-        if (!holds_surface(child)) { continue; }
-        node.child_mask |= static_cast<std::uint8_t>(1U << octant);
-        places.push_back({child, place.depth + 1});
-      }
-      CHECK(node.child_mask != 0);
+    const auto first_child = static_cast<std::uint32_t>(begin + places.size());
+    for (unsigned octant = 0; octant < 8 && place.depth < kLeafDepth; ++octant) {
+      const Aabb child = child_cell(place.cell, octant);
+      if (!holds_surface(child)) { continue; }
+      node.child_mask |= static_cast<std::uint8_t>(1U << octant);
+      places.push_back({child, place.depth + 1});
     }
+    // Also where no child holds what its parent was thought to.
+    const bool is_leaf = node.child_mask == 0;
+    node.first = is_leaf ? static_cast<std::uint32_t>(proxy.records.size()) : first_child;
+    if (is_leaf) { proxy.records.push_back(record_of(place.cell)); }
     proxy.nodes.push_back(node);
   }
 }

@@ -1,5 +1,6 @@
-// How predicting grows with the leaves of the proxy and with the paths through it. Eight triangles
-// stand behind a leaf, about, so 16 million leaves are a scene of a hundred million triangles.
+// How predicting grows with the leaves of the proxy and with the paths through it. A store affords
+// a leaf for about eight triangles, so that the 29 million of the largest are those of more than a
+// hundred million triangles.
 #include <benchmark/benchmark.h>
 
 #include "cache/transport_model.h"

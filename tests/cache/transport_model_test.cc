@@ -101,6 +101,47 @@ TEST(TransportModel, StatesAnErrorThatItKeeps) {
   EXPECT_LT(reference.rays_total_error, 0.2 * std::sqrt(squares_stated / 16.0));
 }
 
+TEST(TransportModel, SpendsItsPathsWhereTheImageShowsTheScene) {
+  const CompiledScene compiled = test::compile_in_memory(test::make_room(4, /*seed=*/1), 200);
+  RenderSettings settings = test::room_settings(/*size=*/256, /*spp=*/2);
+  settings.sky = Vec3(1.0F);
+  settings.view.origin = Vec3(14.0F, 6.0F, 9.0F);
+  settings.view.forward = -glm::normalize(settings.view.origin - Vec3(2.0F, 1.0F, 0.0F));
+  for (const bool orthographic : {false, true}) {
+    settings.view.orthographic = orthographic;
+    const float half = orthographic ? 6.0F : 0.4F;
+    settings.view.right =
+        half * glm::normalize(glm::cross(settings.view.forward, Vec3(0.0F, 1.0F, 0.0F)));
+    settings.view.up =
+        half * glm::normalize(glm::cross(settings.view.right, settings.view.forward));
+
+    const Prediction predicted =
+        *predict("transport", {compiled.tables, compiled.proxy, settings, 1});
+    const Prediction counted = test::count_accesses(compiled, settings);
+
+    // The outside of a closed room hits nothing but itself.
+    EXPECT_LT(counted.scatter_total, 0.1 * counted.camera_total);
+    EXPECT_GT(counted.scatter_total, 0.0);
+    EXPECT_NEAR(predicted.scatter_total / counted.scatter_total, 1.0, 0.05);
+    EXPECT_EQ(predicted.camera_total, counted.camera_total);
+  }
+}
+
+TEST(TransportModel, ExpectsNothingOfAViewThatShowsNothing) {
+  const CompiledScene compiled = test::compile_in_memory(test::make_room(1, /*seed=*/1), 200);
+  RenderSettings settings = test::room_settings(/*size=*/64, /*spp=*/2);
+  settings.view.origin = Vec3(0.0F, 0.0F, 5.0F);
+  settings.view.forward = Vec3(0.0F, 0.0F, 1.0F);
+
+  const Prediction prediction = *predict("transport", {compiled.tables, compiled.proxy, settings});
+
+  EXPECT_EQ(prediction.camera_total, 64.0 * 64.0 * 2.0);
+  EXPECT_EQ(prediction.scatter_total + prediction.shadow_total, 0.0);
+  for (std::size_t voxel = 0; voxel < prediction.rays_camera.size(); ++voxel) {
+    EXPECT_EQ(prediction.rays(voxel), 0.0);
+  }
+}
+
 TEST(TransportModel, RefusesMorePathsThanItCounts) {
   const CompiledScene compiled = test::compile_in_memory(test::make_room(1, /*seed=*/2), 200);
   const RenderSettings settings = test::room_settings(/*size=*/16, /*spp=*/1);
