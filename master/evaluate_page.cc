@@ -366,6 +366,17 @@ class Page {
     return points;
   }
 
+  // A few cells that see most rays would press all others to the axis.
+  static bool is_steep(const std::vector<double>& rays) {
+    double sum = 0.0;
+    double most = 0.0;
+    for (const double value : rays) {
+      sum += value;
+      most = std::max(most, value);
+    }
+    return most * static_cast<double>(rays.size()) > 50.0 * sum;
+  }
+
   [[nodiscard]] Chart curve_chart(const ModelResult& model, bool primary) const {
     Chart chart;
     chart.title = fmt::format("{}: {} rays per {}, estimated and counted", model.name,
@@ -375,6 +386,7 @@ class Page {
     chart.y = {"rays"};
     const CellRays& e = model.estimated;
     const CellRays& r = record_.counted;
+    chart.y.logarithmic = is_steep(primary ? r.camera : r.all);
     chart.series.push_back(
         {"counted", 0, ChartSeries::Style::kLine, curve_of(primary ? r.camera : r.all)});
     chart.series.push_back(
@@ -387,7 +399,9 @@ class Page {
     const std::size_t group = (cells + kCurvePointsMax - 1) / kCurvePointsMax;
     std::string html = fmt::format(
         "<h2>Rays along the scene</h2>\n<p>As figure 6 of Reinhard, Kok and Chalmers (1998): "
-        "primary rays on the left, all rays on the right{}.</p>\n",
+        "primary rays on the left, all rays on the right{}. The axis of rays is logarithmic where "
+        "a "
+        "cell sees more than fifty times the mean.</p>\n",
         group > 1 ? fmt::format("; each point is the mean of {} neighbours", group)
                   : std::string());
     for (const ModelResult& model : record_.models) {
