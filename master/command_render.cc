@@ -230,8 +230,8 @@ void add_worker_options(CLI::App& command, RenderOptions& options) {
       ->group(kGroup);
   auto* const local = command
                           .add_flag("--local", options.local,
-                                    "Render in this process, the whole scene in memory; --cache "
-                                    "and --preload have no effect")
+                                    "Render in this process, the whole scene in memory, whatever "
+                                    "--cache says; a report still judges --preload's model")
                           ->group(kGroup);
   workers->excludes(listen)->excludes(local);
   listen->excludes(local);
@@ -260,8 +260,7 @@ void add_cache_options(CLI::App& command, RenderOptions& options) {
       ->group(kGroup);
   command
       .add_option("--preload", options.preload,
-                  "What chooses the voxels that workers hold beforehand: transport, uniform, "
-                  "random or none")
+                  "Model that chooses the voxels which workers hold beforehand")
       ->type_name("MODEL")
       ->check(CLI::IsMember(prediction_models()))
       ->capture_default_str()
