@@ -14,9 +14,10 @@ Result<std::uint64_t> CacheSize::resolve(const SceneTables& tables) const {
     return std::max(least, static_cast<std::uint64_t>(std::ceil(share * all)));
   }
   if (bytes < least) {
-    return fail(ExitCode::kUsage,
-                fmt::format("--cache {} bytes is below one voxel: this scene needs at least {} bytes",
-                            bytes, least));
+    return fail(
+        ExitCode::kUsage,
+        fmt::format("--cache {} bytes is below one voxel: this scene needs at least {} bytes",
+                    bytes, least));
   }
   return bytes;
 }

@@ -263,6 +263,25 @@ bool refuse_image(tinygltf::Image*, int, std::string*, std::string*, int, int, c
   return false;
 }
 
+// A template, as only later versions have the last member, and demand it.
+template <class FsCallbacks>
+FsCallbacks refusing_files() {
+  FsCallbacks files{};
+  files.FileExists = [](const std::string&, void*) { return false; };
+  files.ExpandFilePath = [](const std::string& path, void*) { return path; };
+  files.ReadWholeFile = [](std::vector<unsigned char>*, std::string*, const std::string&, void*) {
+    return false;
+  };
+  files.WriteWholeFile = [](std::string*, const std::string&, const std::vector<unsigned char>&,
+                            void*) { return false; };
+  if constexpr (requires { files.GetFileSizeInBytes; }) {
+    files.GetFileSizeInBytes = [](std::size_t*, std::string*, const std::string&, void*) {
+      return false;
+    };
+  }
+  return files;
+}
+
 // tinygltf reads what is left of the JSON; should a version of it want a file after all, every
 // callback refuses.
 Result<void> read_structs(Json json, tinygltf::Model& model) {
@@ -272,14 +291,7 @@ Result<void> read_structs(Json json, tinygltf::Model& model) {
   const std::string text = json.dump();
   tinygltf::TinyGLTF reader;
   reader.SetImageLoader(refuse_image, nullptr);
-  reader.SetFsCallbacks(
-      {[](const std::string&, void*) { return false; },
-       [](const std::string& path, void*) { return path; },
-       [](std::vector<unsigned char>*, std::string*, const std::string&, void*) { return false; },
-       [](std::string*, const std::string&, const std::vector<unsigned char>&, void*) {
-         return false;
-       },
-       nullptr});
+  reader.SetFsCallbacks(refusing_files<tinygltf::FsCallbacks>());
   std::string error;
   std::string warning;
   bool done = false;
@@ -526,8 +538,9 @@ Result<GltfAccessor> GltfAccessor::make(const GltfDocument& document, int access
 Result<void> GltfAccessor::read_sparse(const GltfDocument& document,
                                        const tinygltf::Accessor& accessor, std::string_view name) {
   const auto& sparse = accessor.sparse;
-  if (sparse.count < 0 || sparse.indices.byteOffset < 0 || sparse.values.byteOffset < 0 ||
-      !is_unsigned(sparse.indices.componentType)) {
+  // Offsets are signed or not, by tinygltf's version.
+  if (sparse.count < 0 || std::cmp_less(sparse.indices.byteOffset, 0) ||
+      std::cmp_less(sparse.values.byteOffset, 0) || !is_unsigned(sparse.indices.componentType)) {
     return rejected(fmt::format("{}: its sparse part is malformed", name));
   }
   sparse_count_ = static_cast<std::size_t>(sparse.count);

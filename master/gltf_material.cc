@@ -28,8 +28,9 @@ Vec3 color(const tinygltf::Value& object, const std::string& key, const Vec3& ot
   const tinygltf::Value& array = object.Get(key);
   if (!array.IsArray() || array.ArrayLen() < 3) { return otherwise; }
   Vec3 result = otherwise;
+  const auto& values = array.Get<tinygltf::Value::Array>();
   for (int axis = 0; axis < 3; ++axis) {
-    const tinygltf::Value& value = array.Get(axis);
+    const tinygltf::Value& value = values[static_cast<std::size_t>(axis)];
     if (value.IsNumber()) { result[axis] = in_unit(value.GetNumberAsDouble()); }
   }
   return result;

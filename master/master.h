@@ -21,7 +21,7 @@ namespace preheat {
 
 // A cache size as the user says it: bytes, or a share of the scene's resident size.
 struct CacheSize {
-  double share = 0.25;      // used when bytes == 0
+  double share = 0.25;  // used when bytes == 0
   std::uint64_t bytes = 0;
   // Never less than one voxel for a share; an absolute size below that is a usage error that
   // names the size needed.
@@ -30,17 +30,17 @@ struct CacheSize {
 
 struct MasterOptions {
   std::string listen = "tcp://127.0.0.1:*";  // control socket; the bulk socket is beside it
-  unsigned workers_to_start = 2;    // child processes on loopback; 0 with an explicit --listen
+  unsigned workers_to_start = 2;  // child processes on loopback; 0 with an explicit --listen
   unsigned threads_per_worker = 1;
-  unsigned wait_workers = 1;        // begin when this many are there
+  unsigned wait_workers = 1;  // begin when this many are there
   double wait_seconds = 60.0;
-  CacheSize cache{};                // of each worker that does not bring its own
-  double preload_share = -1.0;      // negative = auto
+  CacheSize cache{};            // of each worker that does not bring its own
+  double preload_share = -1.0;  // negative = auto
   std::uint32_t tile_size = 32;
   AccessCounting count_accesses = AccessCounting::kSampled;
-  std::string worker_program{};     // path of preheat-worker
-  bool insecure_no_auth = false;    // listen elsewhere than on loopback
-  std::string ledger_file{};        // one JSON line per lease, result, join and leave; empty = none
+  std::string worker_program{};   // path of preheat-worker
+  bool insecure_no_auth = false;  // listen elsewhere than on loopback
+  std::string ledger_file{};      // one JSON line per lease, result, join and leave; empty = none
 };
 
 // For the progress line; called at most ten times a second.
@@ -72,8 +72,9 @@ struct MasterResult {
   std::vector<TileId> poisoned_tiles{};  // given up and black: the program ends with kPoisonedTile
 };
 
-// Blocks until the image is done, a failure, or `stop_signal` is set (by a signal handler: SIGINT or
-// SIGTERM; 0 = none), which ends with kInterrupted or kTerminated. Workers are told to end either way.
+// Blocks until the image is done, a failure, or `stop_signal` is set (by a signal handler: SIGINT
+// or SIGTERM; 0 = none), which ends with kInterrupted or kTerminated. Workers are told to end
+// either way.
 [[nodiscard]] Result<MasterResult> run_master(
     const Store& store, const RenderSettings& settings, const Prediction& prediction,
     const MasterOptions& options, const std::atomic<int>& stop_signal,

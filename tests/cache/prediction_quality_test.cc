@@ -79,7 +79,7 @@ TEST(PredictionQuality, TransportRanksTheVoxelsOfTwentyRandomScenes) {
         "surface-area %.3f\n",
         seed, compiled.scene.triangles.size(), counted.size(), *transport.spearman,
         *transport.pearson, *transport.total_ratio, *blind.spearman);
-    better_than_blind += *transport.spearman > *blind.spearman ? 1 : 0;
+    better_than_blind += *transport.spearman > *blind.spearman ? 1U : 0U;
     correlations.push_back(*transport.spearman);
   }
   std::sort(correlations.begin(), correlations.end());
