@@ -50,9 +50,7 @@ Prediction spread(const PredictionInput& input, const std::vector<double>& chanc
   const bool emission_can_be_met = has_sky || !tables.emissive_triangles.empty();
   const bool has_lights = emission_can_be_met || !tables.lights.empty();
   Prediction prediction;
-  prediction.camera_total = static_cast<double>(settings.width) *
-                            static_cast<double>(settings.height) *
-                            static_cast<double>(settings.spp);
+  prediction.camera_total = sample_count(settings);
   double scatterings = 0.0;
   double lit_vertices = 0.0;
   for (std::uint32_t bounce = 0; may_scatter(bounce, settings.bounces); ++bounce) {

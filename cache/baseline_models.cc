@@ -14,9 +14,7 @@ Prediction empty_prediction(const PredictionInput& input) {
   prediction.rays_camera.resize(voxel_count, 0.0);
   prediction.rays_scatter.resize(voxel_count, 0.0);
   prediction.rays_shadow.resize(voxel_count, 0.0);
-  prediction.camera_total = static_cast<double>(input.settings.width) *
-                            static_cast<double>(input.settings.height) *
-                            static_cast<double>(input.settings.spp);
+  prediction.camera_total = sample_count(input.settings);
   return prediction;
 }
 

@@ -6,8 +6,9 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <utility>
+#include <span>
 
+#include "common/box_clip.h"
 #include "common/compensated_sum.h"
 #include "common/flat_index.h"
 #include "common/voxel_block.h"
@@ -39,32 +40,12 @@ constexpr std::uint32_t kNormalSquares = 16;
   return square(v) * kNormalSquares + square(u);
 }
 
-// Twice the area of the part of a triangle inside a box, as a vector along its normal: the polygon
-// that clipping to the six planes leaves (Sutherland and Hodgman 1974).
+// Twice the area of the part of a triangle inside a box, as a vector along its normal.
 [[nodiscard]] Vec3d doubled_area_inside(const Corners& corners, const Aabb& box) {
-  constexpr std::size_t kVerticesMax = 3 + 6;  // each plane adds at most one
-  std::array<Vec3d, kVerticesMax> polygon{corners[0], corners[1], corners[2]};
-  std::size_t count = 3;
-  for (int plane = 0; plane < 6; ++plane) {
-    const int axis = plane / 2;
-    const double sign = plane % 2 == 0 ? 1.0 : -1.0;
-    const auto limit = static_cast<double>(plane % 2 == 0 ? box.low[axis] : box.high[axis]);
-    const std::array<Vec3d, kVerticesMax> whole = polygon;
-    const std::size_t whole_count = std::exchange(count, 0);
-    for (std::size_t i = 0; i < whole_count; ++i) {
-      const Vec3d& from = whole[i];
-      const Vec3d& to = whole[(i + 1) % whole_count];
-      const double inside_from = sign * (from[axis] - limit);
-      const double inside_to = sign * (to[axis] - limit);
-      if (inside_from >= 0.0) { polygon[count++] = from; }
-      if ((inside_from > 0.0 && inside_to < 0.0) || (inside_from < 0.0 && inside_to > 0.0)) {
-        polygon[count++] = from + (to - from) * (inside_from / (inside_from - inside_to));
-      }
-    }
-    if (count < 3) { return Vec3d(0.0); }
-  }
+  const ClippedTriangle clipped = clip_to_box(corners, box);
+  const std::span<const Vec3d> polygon = clipped.vertices();
   Vec3d doubled(0.0);
-  for (std::size_t i = 1; i + 1 < count; ++i) {
+  for (std::size_t i = 1; i + 1 < polygon.size(); ++i) {
     doubled += glm::cross(polygon[i] - polygon[0], polygon[i + 1] - polygon[0]);
   }
   return doubled;

@@ -1,13 +1,12 @@
 #include "cache/counted_render.h"
 
-#include <fmt/format.h>
-
 #include <chrono>
 #include <cstdint>
 #include <utility>
 #include <variant>
 
 #include "cache/doorbell.h"
+#include "cache/local_residency.h"
 #include "cache/renderer.h"
 
 namespace preheat {
@@ -19,28 +18,6 @@ constexpr std::uint32_t kTileSize = 32;
 
 double seconds_since(Clock::time_point begin) {
   return std::chrono::duration<double>(Clock::now() - begin).count();
-}
-
-Result<void> make_everything_hot(const Store& store, Renderer& renderer) {
-  std::vector<VoxelId> voxels;
-  for (std::uint32_t voxel = 0; voxel < store.tables().voxels.size(); ++voxel) {
-    voxels.push_back(VoxelId{voxel});
-  }
-  renderer.set_hot_voxels(voxels);
-  for (const VoxelId voxel : voxels) {
-    if (!store.block_is_intact(voxel)) {
-      return fail(ExitCode::kStoreDamaged,
-                  fmt::format("store damaged: voxel {} does not have the content that its "
-                              "directory names",
-                              index_of(voxel)));
-    }
-    // The caller's store owns the mapping for as long as the renderer lives.
-    if (auto delivered = renderer.deliver(voxel, VoxelBytes{store.block(voxel), nullptr});
-        !delivered) {
-      return delivered;
-    }
-  }
-  return {};
 }
 
 }  // namespace
@@ -58,6 +35,7 @@ Result<CountedRender> render_counted(const Store& store, const RenderSettings& s
 
   CountedRender counted;
   Clock::time_point begin = Clock::now();
+  // The caller's store outlives the renderer.
   if (auto hot = make_everything_hot(store, renderer); !hot) { return tl::unexpected(hot.error()); }
   const TileGrid grid{settings.width, settings.height, kTileSize};
   std::uint32_t tiles_done = 0;

@@ -8,11 +8,6 @@
 namespace preheat {
 namespace {
 
-double samples_of(const RenderSettings& settings) {
-  return static_cast<double>(settings.width) * static_cast<double>(settings.height) *
-         static_cast<double>(settings.spp);
-}
-
 RenderSettings low_resolution(const RenderSettings& settings, std::uint32_t pixels) {
   const auto wanted = static_cast<double>(pixels);
   const double aspect = static_cast<double>(settings.width) / static_cast<double>(settings.height);
@@ -34,7 +29,7 @@ Result<Prediction> counts_of(const PredictionInput& input, const RenderSettings&
   const Result<CountedRender> counted =
       render_counted(*input.store, settings, {std::max(1U, input.threads)});
   if (!counted) { return tl::unexpected(counted.error()); }
-  const double scale = samples_of(input.settings) / samples_of(settings);
+  const double scale = sample_count(input.settings) / sample_count(settings);
   Prediction prediction;
   for (const CellAccesses& voxel : counted->accesses) {
     prediction.rays_camera.push_back(static_cast<double>(voxel.camera) * scale);

@@ -150,7 +150,9 @@ class Residency {
 };
 
 // Calls visit(index) for every leaf of a tree whose bounds the ray enters before t_end. Nodes lie
-// as in SceneTables::voxel_nodes; the index is VoxelNode::first of the leaf.
+// as in SceneTables::voxel_nodes, whose leaves are the voxels, so that there it counts the ray's
+// accesses; the index is VoxelNode::first of the leaf. A walk of its own, as the hot BVH has no
+// callbacks.
 template <class Visit>
 void for_each_cell(std::span<const VoxelNode> nodes, const Ray& ray, float t_end, Visit&& visit) {
   if (nodes.empty()) { return; }
@@ -169,14 +171,6 @@ void for_each_cell(std::span<const VoxelNode> nodes, const Ray& ray, float t_end
       pending[pending_count++] = node.first + child;
     }
   }
-}
-
-// Calls visit(voxel) for every voxel whose bounds the ray enters before t_end: the ray's accesses.
-// A walk of its own, as the hot BVH has no callbacks.
-template <class Visit>
-void for_each_access(const SceneTables& tables, const Ray& ray, float t_end, Visit&& visit) {
-  for_each_cell(tables.voxel_nodes, ray, t_end,
-                [&](std::uint32_t index) { visit(VoxelId{index}); });
 }
 
 }  // namespace preheat

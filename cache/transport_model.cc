@@ -334,9 +334,7 @@ Result<Prediction> predict_transport(const PredictionInput& input) {
       }
     });
   });
-  const RenderSettings& settings = input.settings;
-  const double samples = static_cast<double>(settings.width) *
-                         static_cast<double>(settings.height) * static_cast<double>(settings.spp);
+  const double samples = sample_count(input.settings);
   const double cells_all = static_cast<double>(cells_per_side) * cells_per_side;
   const Estimate estimate(batches, voxel_count, samples / (cells_all * std::max(1U, cell_paths)));
   Prediction prediction;

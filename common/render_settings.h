@@ -31,6 +31,12 @@ struct RenderSettings {
   Vec3 sky{0.0F};             // radiance of the constant environment; 0 = none
 };
 
+// Of the whole image; each begins with a camera ray.
+[[nodiscard]] inline double sample_count(const RenderSettings& settings) {
+  return static_cast<double>(settings.width) * static_cast<double>(settings.height) *
+         static_cast<double>(settings.spp);
+}
+
 // The view of a camera for an image of the given aspect; the camera's vertical field is kept.
 [[nodiscard]] View make_view(const Camera& camera, const Frame& frame, std::uint32_t width,
                              std::uint32_t height);

@@ -67,8 +67,7 @@ std::string nodes_table(const NodePrediction& nodes) {
 }
 
 std::string prediction_table(const Prediction& prediction, const SceneTables& tables,
-                             const CostForecast& cost) {
-  const Ranking ranking(prediction, tables);
+                             const Ranking& ranking, const CostForecast& cost) {
   std::string table = fmt::format(
       "model            {}\n"
       "seconds          {:.4f}\n"
@@ -95,9 +94,8 @@ std::string prediction_table(const Prediction& prediction, const SceneTables& ta
 }
 
 std::string prediction_json(const Prediction& prediction, const SceneTables& tables,
-                            const CostForecast& cost) {
+                            const Ranking& ranking, const CostForecast& cost) {
   nlohmann::ordered_json captures;
-  const Ranking ranking(prediction, tables);
   for (const auto& [name, share] : {std::pair{"0.01", 0.01}, std::pair{"0.1", 0.1},
                                     std::pair{"0.25", 0.25}, std::pair{"0.5", 0.5}}) {
     captures[name] = ranking.captured(share);
@@ -154,17 +152,16 @@ Result<void> run_predict(const PredictOptions& options) {
   const auto cost = measure_and_forecast_cost(store, *prediction, options.cost);
   if (!cost) { return tl::unexpected(cost.error()); }
 
+  const Ranking ranking(*prediction, store.tables());
   if (options.json != "-" && options.csv != "-") {
-    if (auto printed = write_text_output("-", prediction_table(*prediction, store.tables(), *cost));
-        !printed) {
-      return printed;
-    }
+    const std::string table = prediction_table(*prediction, store.tables(), ranking, *cost);
+    if (auto printed = write_text_output("-", table); !printed) { return printed; }
   }
-  if (auto written =
-          write_text_output(options.json, prediction_json(*prediction, store.tables(), *cost));
-      !written) {
-    return written;
+  if (!options.json.empty()) {
+    const std::string json = prediction_json(*prediction, store.tables(), ranking, *cost);
+    if (auto written = write_text_output(options.json, json); !written) { return written; }
   }
+  if (options.csv.empty()) { return {}; }
   return write_text_output(options.csv, prediction_csv(*prediction, store.tables()));
 }
 

@@ -1,7 +1,5 @@
 #include "master/local_render.h"
 
-#include <fmt/format.h>
-
 #include <chrono>
 #include <memory>
 #include <utility>
@@ -9,9 +7,9 @@
 #include <vector>
 
 #include "cache/doorbell.h"
+#include "cache/local_residency.h"
 #include "cache/renderer.h"
 #include "cache/tracer.h"
-#include "common/content_hash.h"
 #include "master/signals.h"
 
 namespace preheat {
@@ -39,7 +37,10 @@ class LocalRender {
 
   Result<MasterResult> run(const std::atomic<int>& stop_signal) {
     const Clock::time_point began = Clock::now();
-    if (auto preloaded = preload(); !preloaded) { return tl::unexpected(preloaded.error()); }
+    started_ = began;
+    if (auto preloaded = make_everything_hot(store_, renderer_); !preloaded) {
+      return tl::unexpected(preloaded.error());
+    }
     for (std::uint32_t tile = 0; tile < grid_.count(); ++tile) { renderer_.add_tile(TileId{tile}); }
     while (tiles_done_ < grid_.count()) {
       if (const int signal = stop_signal.load(); signal != 0) {
@@ -70,37 +71,12 @@ class LocalRender {
     return accesses;
   }
 
-  Result<void> preload() {
-    started_ = Clock::now();
-    std::vector<VoxelId> voxels;
-    for (std::uint32_t voxel = 0; voxel < store_.tables().voxels.size(); ++voxel) {
-      voxels.push_back(VoxelId{voxel});
-    }
-    renderer_.set_hot_voxels(voxels);
-    for (const VoxelId voxel : voxels) {
-      if (auto delivered = deliver(voxel); !delivered) { return delivered; }
-    }
-    return {};
-  }
-
-  // The store owns the mapping for as long as this object lives, so no one else needs to.
-  Result<void> deliver(VoxelId voxel) {
-    const std::span<const std::byte> block = store_.block(voxel);
-    if (content_hash(block) != store_.tables().voxels[index_of(voxel)].hash) {
-      return fail(ExitCode::kStoreDamaged,
-                  fmt::format("store damaged: voxel {} does not have the content that its "
-                              "directory names",
-                              index_of(voxel)));
-    }
-    return renderer_.deliver(voxel, VoxelBytes{block, nullptr});
-  }
-
   Result<void> handle(RendererEvent& event) {
     if (auto* const done = std::get_if<TileDone>(&event)) {
       film_.assign(grid_.rect(done->tile), done->pixels);
       ++tiles_done_;
     } else if (const auto* const needed = std::get_if<VoxelNeeded>(&event)) {
-      return deliver(needed->voxel);
+      return deliver_from(store_, needed->voxel, renderer_);
     } else if (const auto* const failed = std::get_if<RendererFailed>(&event)) {
       return tl::unexpected(failed->error);
     } else if (std::holds_alternative<HotSetReady>(event)) {

@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <unordered_map>
 
+#include "common/box_clip.h"
 #include "common/flat_index.h"
 #include "common/voxel_block.h"
 
@@ -49,34 +50,12 @@ class SubtreeMeasure {
   FlatIndex vertices_{};
 };
 
-// What the part of a triangle inside the box extends over: the triangle clipped to the box's six
-// planes in turn (Sutherland and Hodgman 1974). Empty if nothing is left.
+// What the part of a triangle inside the box extends over. Empty if nothing is left.
 [[nodiscard]] Aabb clipped_extent(const std::array<Vec3, 3>& triangle, const Aabb& box) {
-  constexpr std::size_t kVerticesMax = 3 + 6;  // each plane adds at most one
-  std::array<Vec3d, kVerticesMax> polygon{Vec3d(triangle[0]), Vec3d(triangle[1]),
-                                          Vec3d(triangle[2])};
-  std::size_t count = 3;
-  for (int plane = 0; plane < 6 && count > 0; ++plane) {
-    const int axis = plane / 2;
-    const double sign = plane % 2 == 0 ? 1.0 : -1.0;
-    const double limit = static_cast<double>(plane % 2 == 0 ? box.low[axis] : box.high[axis]);
-    const std::array<Vec3d, kVerticesMax> whole = polygon;
-    const std::size_t whole_count = count;
-    count = 0;
-    for (std::size_t i = 0; i < whole_count; ++i) {
-      const Vec3d& from = whole[i];
-      const Vec3d& to = whole[(i + 1) % whole_count];
-      const double inside_from = sign * (from[axis] - limit);
-      const double inside_to = sign * (to[axis] - limit);
-      if (inside_from >= 0.0) { polygon[count++] = from; }
-      if ((inside_from > 0.0 && inside_to < 0.0) || (inside_from < 0.0 && inside_to > 0.0)) {
-        polygon[count] = from + (to - from) * (inside_from / (inside_from - inside_to));
-        polygon[count++][axis] = limit;
-      }
-    }
-  }
+  const ClippedTriangle clipped =
+      clip_to_box({Vec3d(triangle[0]), Vec3d(triangle[1]), Vec3d(triangle[2])}, box);
   Aabb extent;
-  for (std::size_t i = 0; i < count; ++i) { extent.extend(Vec3(polygon[i])); }
+  for (const Vec3d& vertex : clipped.vertices()) { extent.extend(Vec3(vertex)); }
   return extent;
 }
 

@@ -12,6 +12,7 @@
 #include "cache/voxel_projection.h"
 #include "common/math.h"
 #include "tests/cache/transport_truth.h"
+#include "tests/common/triangle_scene.h"
 #include "tests/scenes/scratch_folder.h"
 #include "tests/scenes/soups.h"
 #include "tests/scenes/store_of_scene.h"
@@ -19,21 +20,12 @@
 namespace preheat {
 namespace {
 
+using test::look_at;
 using test::ScratchFolder;
 using testing::HasSubstr;
 
 double sum_of(const std::vector<double>& values) {
   return std::accumulate(values.begin(), values.end(), 0.0);
-}
-
-View looking(const Vec3& from, const Vec3& to, float tangent = 0.5F) {
-  View view;
-  view.origin = from;
-  view.forward = glm::normalize(to - from);
-  const OrthonormalFrame frame(view.forward);
-  view.right = frame.tangent * tangent;
-  view.up = frame.bitangent * tangent;
-  return view;
 }
 
 RenderSettings settings_of(const View& view, std::uint32_t size = 64, std::uint32_t spp = 4) {
@@ -132,7 +124,7 @@ TEST_F(PaperModel, WantsAStore) {
 
 TEST_F(PaperModel, NamesAKnobThatIsOutOfRange) {
   compile(room(4));
-  const RenderSettings settings = settings_of(looking({0, 0, -0.5F}, Vec3(0.0F)));
+  const RenderSettings settings = settings_of(look_at({0, 0, -0.5F}, Vec3(0.0F), 0.5F));
   for (const auto& [knobs, what] :
        {std::pair{PaperKnobs{.depth = 6}, "depth is 6, must be within 0..5"},
         std::pair{PaperKnobs{.bins_polar = 0}, "polar bins is 0"},
@@ -147,7 +139,7 @@ TEST_F(PaperModel, NamesAKnobThatIsOutOfRange) {
 TEST_F(PaperModel, RefusesMoreBinsThanItsTimeIsBoundedFor) {
   compile(room(60));
   ASSERT_GT(cut(5).cells.size(), 512U);
-  const auto prediction = run(settings_of(looking({0, 0, -0.5F}, Vec3(0.0F))),
+  const auto prediction = run(settings_of(look_at({0, 0, -0.5F}, Vec3(0.0F), 0.5F)),
                               {.depth = 5, .bins_polar = 64, .bins_azimuth = 128});
   ASSERT_FALSE(prediction);
   EXPECT_EQ(prediction.error().code, ExitCode::kUsage);
@@ -157,7 +149,8 @@ TEST_F(PaperModel, RefusesMoreBinsThanItsTimeIsBoundedFor) {
 // Section 4: pixels of the clipped projection times samples; section 7: times C_t.
 TEST_F(PaperModel, CountsPrimaryRaysByPixels) {
   compile(room(24));
-  const RenderSettings settings = settings_of(looking({0.1F, 0.2F, -0.6F}, {0.3F, 0.0F, 1.0F}));
+  const RenderSettings settings =
+      settings_of(look_at({0.1F, 0.2F, -0.6F}, {0.3F, 0.0F, 1.0F}, 0.5F));
   const auto projection = VoxelProjection::create(settings.view, settings.width, settings.height);
 
   const Prediction prediction = predicted(settings, {.bounces_exchanged = 0});
@@ -179,7 +172,8 @@ TEST_F(PaperModel, CountsPrimaryRaysByPixels) {
 TEST_F(PaperModel, ShowsTheFaultOfFigure7WhenAsked) {
   compile(room(24));
   // Beside a cell that lies behind the eye but for a strip that the image does not reach.
-  const RenderSettings settings = settings_of(looking({0.4F, 0.1F, -0.05F}, {0.4F, 0.1F, 1.0F}));
+  const RenderSettings settings =
+      settings_of(look_at({0.4F, 0.1F, -0.05F}, {0.4F, 0.1F, 1.0F}, 0.5F));
   const Prediction mended = predicted(settings, {.bounces_exchanged = 0});
   const Prediction printed = predicted(settings, {.bounces_exchanged = 0, .as_printed = true});
   std::size_t more = 0;
@@ -195,7 +189,7 @@ TEST_F(PaperModel, FollowsAsManyRaysAsTheRendererTraces) {
   scene.materials[0].base_color = Vec3(1.0F);
   scene.lights = {lamp_at(Vec3(0.0F, 0.5F, 0.0F))};
   compile(scene);
-  RenderSettings settings = settings_of(looking({0.1F, 0.2F, -0.6F}, {0.3F, 0.0F, 1.0F}));
+  RenderSettings settings = settings_of(look_at({0.1F, 0.2F, -0.6F}, {0.3F, 0.0F, 1.0F}, 0.5F));
   settings.bounces = 2;
 
   const Prediction prediction = predicted(settings);
@@ -210,7 +204,7 @@ TEST_F(PaperModel, FollowsAsManyRaysAsTheRendererTraces) {
 }
 
 TEST_F(PaperModel, HasNoRayThatTheSceneDoesNotCallFor) {
-  const View view = looking({0.1F, 0.2F, -0.6F}, {0.3F, 0.0F, 1.0F});
+  const View view = look_at({0.1F, 0.2F, -0.6F}, {0.3F, 0.0F, 1.0F}, 0.5F);
   compile(room(12));
   Prediction prediction = predicted(settings_of(view));
   EXPECT_EQ(prediction.shadow_total, 0.0) << "no light";
@@ -276,7 +270,7 @@ Vec3 quarter_turn(const Vec3& v) { return {-v.y, v.x, v.z}; }
 TEST_F(PaperModel, TurnsWithTheScene) {
   Scene scene = room(24);
   scene.lights = {lamp_at({0.2F, 0.5F, 0.1F})};
-  RenderSettings settings = settings_of(looking({0.1F, 0.3F, -0.6F}, {0.3F, 0.0F, 1.0F}));
+  RenderSettings settings = settings_of(look_at({0.1F, 0.3F, -0.6F}, {0.3F, 0.0F, 1.0F}, 0.5F));
   compile(scene);
   const OctreeCut cells = cut(1);
   const Prediction before = predicted(settings, {.depth = 1});
@@ -352,7 +346,7 @@ TEST_F(PaperModel, FindsWhatIsHotInARoom) {
 
 // E10
 TEST_F(PaperModel, AnswersForScenesWithNearlyNothing) {
-  const View view = looking({0.1F, 0.2F, -3.0F}, Vec3(0.0F));
+  const View view = look_at({0.1F, 0.2F, -3.0F}, Vec3(0.0F), 0.5F);
   compile(test::empty_scene());
   const Prediction nothing = predicted(settings_of(view));
   EXPECT_EQ(nothing.camera_total, 64.0 * 64.0 * 4.0);
@@ -369,7 +363,8 @@ TEST_F(PaperModel, AnswersForScenesWithNearlyNothing) {
     EXPECT_EQ(prediction.nodes.rays_scatter[0], 0.0) << "a cell sends nothing to itself";
     expect_sane(prediction);
   }
-  const Prediction away = predicted(settings_of(looking({0.1F, 0.2F, -3.0F}, {0.0F, 0.0F, -9.0F})));
+  const Prediction away =
+      predicted(settings_of(look_at({0.1F, 0.2F, -3.0F}, {0.0F, 0.0F, -9.0F}, 0.5F)));
   EXPECT_EQ(away.rays_camera[0], 0.0);
   EXPECT_EQ(away.scatter_total, 0.0);
   expect_sane(away);
@@ -378,7 +373,8 @@ TEST_F(PaperModel, AnswersForScenesWithNearlyNothing) {
 // E11: point lights in a cell, on its faces, at its very centre and outside the octree; area
 // lights.
 TEST_F(PaperModel, TakesLightsAnywhere) {
-  const RenderSettings settings = settings_of(looking({0.1F, 0.2F, -0.6F}, {0.3F, 0.0F, 1.0F}));
+  const RenderSettings settings =
+      settings_of(look_at({0.1F, 0.2F, -0.6F}, {0.3F, 0.0F, 1.0F}, 0.5F));
   Scene scene = room(12);
   compile(scene);
   const Aabb cell = cut().cells[5].cell;
@@ -411,7 +407,7 @@ TEST_F(PaperModel, RanksTheVoxelOfTheLight) {
   compile(scene);
 
   const Prediction prediction =
-      predicted(settings_of(looking({0.1F, 0.2F, -0.6F}, {0.3F, 0.0F, 1.0F})));
+      predicted(settings_of(look_at({0.1F, 0.2F, -0.6F}, {0.3F, 0.0F, 1.0F}, 0.5F)));
 
   const OctreeCut cells = cut();
   std::size_t busiest = 0;
@@ -436,7 +432,7 @@ TEST_F(PaperModel, TakesAHundredThousandLights) {
   }
   scene.lights.assign(50'000, lamp_at(Vec3(0.1F)));
   compile(scene, 2000);
-  expect_sane(predicted(settings_of(looking({0.1F, 0.2F, -0.6F}, {0.3F, 0.0F, 1.0F}))));
+  expect_sane(predicted(settings_of(look_at({0.1F, 0.2F, -0.6F}, {0.3F, 0.0F, 1.0F}, 0.5F))));
 }
 
 // A planar scene, and triangles that are none (E12).
@@ -449,7 +445,7 @@ TEST_F(PaperModel, TakesScenesWithoutThicknessAndTrianglesWithoutArea) {
     test::add_triangle(scene, at, at + Vec3(0.1F, 0, 0), at + Vec3(0.2F, 0, 0));
   }
   compile(scene);
-  RenderSettings settings = settings_of(looking({0.1F, 0.9F, -0.6F}, Vec3(0.0F)));
+  RenderSettings settings = settings_of(look_at({0.1F, 0.9F, -0.6F}, Vec3(0.0F), 0.5F));
   settings.sky = Vec3(1.0F);
   const Prediction prediction = predicted(settings);
   expect_sane(prediction);
@@ -461,7 +457,8 @@ TEST_F(PaperModel, BlocksRaysOnTheirWayWhenAsked) {
   Scene scene = room(16);
   scene.lights = {lamp_at(Vec3(0.2F, 0.1F, 0.0F))};
   compile(scene);
-  const RenderSettings settings = settings_of(looking({0.1F, 0.2F, -0.6F}, {0.3F, 0.0F, 1.0F}));
+  const RenderSettings settings =
+      settings_of(look_at({0.1F, 0.2F, -0.6F}, {0.3F, 0.0F, 1.0F}, 0.5F));
   const Prediction ratio = predicted(settings, {.bounces_exchanged = 1});
   const Prediction arrival =
       predicted(settings, {.bounces_exchanged = 1, .occlusion = PaperOcclusion::kArrival});
@@ -508,7 +505,8 @@ TEST_F(PaperModel, DoesNotDependOnHowFinelyASurfaceIsCut) {
   Scene coarse = room(16);
   Scene fine = room(32);
   for (Scene* scene : {&coarse, &fine}) { scene->lights = {lamp_at(Vec3(0.1F))}; }
-  const RenderSettings settings = settings_of(looking({0.1F, 0.2F, -0.6F}, {0.3F, 0.0F, 1.0F}));
+  const RenderSettings settings =
+      settings_of(look_at({0.1F, 0.2F, -0.6F}, {0.3F, 0.0F, 1.0F}, 0.5F));
   compile(coarse);
   const Prediction one = predicted(settings);
   const std::size_t cells = cut().cells.size();
@@ -527,7 +525,7 @@ TEST_F(PaperModel, SaysThatABlockIsDamaged) {
   test::write_file(folder_ / "b.store", content);
   const Result<Store> store = Store::open(folder_ / "b.store");
   ASSERT_TRUE(store);
-  const RenderSettings settings = settings_of(looking({0, 0, -0.5F}, Vec3(0.0F)));
+  const RenderSettings settings = settings_of(look_at({0, 0, -0.5F}, Vec3(0.0F), 0.5F));
   const auto prediction =
       predict("paper", PredictionInput{store->tables(), store->proxy(), settings, 1, &*store});
   ASSERT_FALSE(prediction);

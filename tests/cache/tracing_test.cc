@@ -315,7 +315,8 @@ TEST(Accesses, CountEveryVoxelThatTheRayEntersBeforeItsEnd) {
       }
     }
     std::multiset<VoxelId> visited;
-    for_each_access(store.tables, ray, t_end, [&](VoxelId voxel) { visited.insert(voxel); });
+    for_each_cell(store.tables.voxel_nodes, ray, t_end,
+                  [&](std::uint32_t voxel) { visited.insert(VoxelId{voxel}); });
 
     ASSERT_TRUE(std::equal(visited.begin(), visited.end(), expected.begin(), expected.end()));
   }

@@ -234,18 +234,11 @@ TEST(Proxy, CountsLayersOnceAndHolesNot) {
       }
     }
   }
-  Octree octree;
-  octree.root = {Vec3(-1.0F), Vec3(1.0F)};
-  octree.nodes = {{0, static_cast<std::uint32_t>(scene.triangles.size()), 0}};
-  for (std::uint32_t id = 0; id < scene.triangles.size(); ++id) { octree.references.push_back(id); }
-  const std::vector<std::uint32_t> voxel_roots{0};
 
-  // So few triangles buy a single record.
-  const Proxy proxy = build_proxy(scene, octree, voxel_roots);
+  const ProxyRecord record = only_record(scene);
 
-  ASSERT_EQ(proxy.records.size(), 1U);
-  EXPECT_EQ(proxy.records[0].shape & kShapeFlat, 0);
-  for (int axis = 0; axis < 3; ++axis) { EXPECT_NEAR(shadow(proxy.records[0], axis), 0.75, 0.04); }
+  EXPECT_EQ(record.shape & kShapeFlat, 0);
+  for (int axis = 0; axis < 3; ++axis) { EXPECT_NEAR(shadow(record, axis), 0.75, 0.04); }
 }
 
 TEST(Proxy, NamesWhatEachSideOfAPlaneShowsMostOf) {
