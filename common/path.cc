@@ -102,9 +102,9 @@ void sample_light(const Vertex& vertex, const Lights& lights, std::uint32_t u_ch
 
 }  // namespace
 
-Shading::Shading(const SceneTables& tables, const RenderSettings& settings)
+Shading::Shading(const SceneTables& tables, const RenderSettings& settings, int albedo_strata)
     : settings_(settings),
-      materials_(prepare_materials(tables.materials)),
+      materials_(prepare_materials(tables.materials, albedo_strata)),
       lights_(tables, materials_, settings.sky),
       rng_(settings.seed) {}
 
