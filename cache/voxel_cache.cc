@@ -12,17 +12,12 @@ constexpr VoxelId kNoVoxel{UINT32_MAX};
 
 }  // namespace
 
-VoxelCache::VoxelCache(std::span<const VoxelEntry> voxels, std::uint64_t limit_bytes,
+VoxelCache::VoxelCache(std::vector<Size> voxels, std::uint64_t limit_bytes,
                        std::function<std::uint64_t(VoxelId)> last_used)
-    : voxels_(voxels),
+    : voxels_(std::move(voxels)),
       limit_bytes_(limit_bytes),
       last_used_(std::move(last_used)),
-      slots_(voxels.size()) {}
-
-std::uint64_t VoxelCache::bvh_bytes_bound(VoxelId voxel) const {
-  const VoxelEntry& entry = voxels_[index_of(voxel)];
-  return entry.resident_bytes - entry.block_bytes;
-}
+      slots_(voxels_.size()) {}
 
 void VoxelCache::hold(std::uint64_t bytes) {
   held_bytes_ += bytes;
@@ -142,7 +137,7 @@ std::vector<VoxelCache::Command> VoxelCache::step() {
     Slot& slot = slots_[index_of(voxel)];
     if (slot.state == State::kWithdrawing) { break; }
     const bool raw = slot.state == State::kRaw;
-    const std::uint64_t bvh_bytes = bvh_bytes_bound(voxel);
+    const std::uint64_t bvh_bytes = voxels_[index_of(voxel)].bvh_bytes_max;
     const std::uint64_t bytes = bvh_bytes + (raw ? 0 : block_bytes(voxel));
     if (!make_room(voxel, bytes, commands)) { break; }
     promised_bytes_ += bytes;

@@ -94,7 +94,7 @@ class TracedScene {
       if (held == Held::kHot) {
         hot_.add(block);
       } else {
-        cold_.push_back(std::make_unique<VoxelMesh>(device_, block));
+        cold_.push_back(std::make_unique<VoxelMesh>(block));
         resident_.publish(voxel, cold_.back().get());
       }
     }
