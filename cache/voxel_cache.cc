@@ -6,11 +6,6 @@
 #include "common/check.h"
 
 namespace preheat {
-namespace {
-
-constexpr VoxelId kNoVoxel{UINT32_MAX};
-
-}  // namespace
 
 VoxelCache::VoxelCache(std::vector<Size> voxels, std::uint64_t limit_bytes,
                        std::function<std::uint64_t(VoxelId)> last_used)
@@ -53,7 +48,7 @@ bool VoxelCache::block_arrived(VoxelId voxel) {
 
 void VoxelCache::built(VoxelId voxel, std::uint64_t bvh_bytes) {
   Slot& slot = slots_[index_of(voxel)];
-  CHECK(slot.state == State::kBuilding);
+  CHECK(slot.state == State::kBuilding && bvh_bytes <= slot.bvh_bytes);
   promised_bytes_ = promised_bytes_ - slot.bvh_bytes + bvh_bytes;
   slot.bvh_bytes = bvh_bytes;
   slot.state = State::kBuilt;
@@ -124,7 +119,6 @@ std::vector<VoxelCache::Command> VoxelCache::step() {
       commands.push_back({Action::kBuild, voxel});
     }
   }
-  if (promised_bytes_ > limit_bytes_) { static_cast<void>(make_room(kNoVoxel, 0, commands)); }
   std::erase_if(wanted_, [this](VoxelId voxel) { return slots_[index_of(voxel)].waiting == 0; });
   std::sort(wanted_.begin(), wanted_.end(), [this](VoxelId a, VoxelId b) {
     const std::uint64_t waiting_a = slots_[index_of(a)].waiting;
@@ -153,6 +147,7 @@ std::vector<VoxelCache::Command> VoxelCache::step() {
     }
   }
   wanted_.erase(wanted_.begin(), wanted_.begin() + static_cast<std::ptrdiff_t>(admitted));
+  CHECK(held_bytes_ <= promised_bytes_ && promised_bytes_ <= limit_bytes_);
   return commands;
 }
 

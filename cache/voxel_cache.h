@@ -10,8 +10,7 @@
 // admitted in turn. Room is made from the voxel that was used longest ago: first its BVH goes, then
 // its block.
 //
-// Invariant: promised_bytes() <= limit_bytes, and held_bytes() <= promised_bytes(). A BVH that
-// proves larger than its bound may break the first until the next step evicts for it.
+// Invariant, checked after every step: held_bytes() <= promised_bytes() <= limit_bytes.
 //
 // Threads: none of its own; the owner locks.
 #pragma once
@@ -65,6 +64,7 @@ class VoxelCache {
 
   // False if the voxel was not being fetched: the caller drops the bytes.
   [[nodiscard]] bool block_arrived(VoxelId voxel);
+  // Requires: bvh_bytes <= Size::bvh_bytes_max.
   void built(VoxelId voxel, std::uint64_t bvh_bytes);
   void withdrawn(VoxelId voxel);
 

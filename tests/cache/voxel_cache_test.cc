@@ -149,7 +149,8 @@ TEST_P(VoxelCacheUnderRandomDemand, ServesEveryRayWithinTheLimit) {
           ASSERT_TRUE(cache.block_arrived(command.voxel));
           break;
         case Action::kBuild:
-          cache.built(command.voxel, voxels[index_of(command.voxel)].bvh_bytes_max * 9 / 10);
+          cache.built(command.voxel,
+                      voxels[index_of(command.voxel)].bvh_bytes_max * (1 + random() % 10) / 10);
           break;
         case Action::kWithdraw:
           cache.withdrawn(command.voxel);
