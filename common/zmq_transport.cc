@@ -24,6 +24,7 @@ constexpr int kLingerMs = 1000;
 constexpr int kReconnectMs = 100;
 constexpr int kReconnectMsMax = 5000;
 constexpr int kHandshakeMs = 2000;
+constexpr int kUnacknowledgedMsMax = 15000;
 constexpr int kBacklog = 1024;
 constexpr int kMessagesQueuedMax = 64;  // per peer, each way
 constexpr int kUnsoundPerCall = 32;
@@ -36,7 +37,8 @@ using RoutingId = std::array<std::byte, kRoutingIdBytes>;
 RoutingId routing_id(ChannelKind kind, const SessionId& session) {
   RoutingId id{};
   // ZeroMQ keeps ids that begin with a zero byte for itself.
-  id[0] = kind == ChannelKind::kControl ? std::byte{'C'} : std::byte{'B'};
+  constexpr std::array<std::byte, 3> kNames{std::byte{'C'}, std::byte{'B'}, std::byte{'P'}};
+  id[0] = kNames[static_cast<std::size_t>(kind)];
   std::memcpy(&id[1], &session.low, 8);
   std::memcpy(&id[9], &session.high, 8);
   return id;
@@ -86,6 +88,9 @@ void set_options(zmq::socket_t& socket, const std::string& endpoint, ChannelKind
   socket.set(zmq::sockopt::tcp_keepalive_idle, 10);
   socket.set(zmq::sockopt::tcp_keepalive_intvl, 5);
   socket.set(zmq::sockopt::tcp_keepalive_cnt, 3);
+  // Keep-alive does not probe while something is on its way: a peer that comes back under another
+  // address would be waited for until TCP itself gives up, after a quarter of an hour.
+  socket.set(zmq::sockopt::tcp_maxrt, kUnacknowledgedMsMax);
 }
 
 // What all sockets of a transport share and must not outlive. Without keys there is no admission.
@@ -313,7 +318,9 @@ class ZmqTransport : public Transport {
                                            const SessionId& session) override {
     if (!shared_->security) { return connect_as(endpoint, kind, session, nullptr, {}); }
     const Keys& keys = shared_->security->keys;
-    return connect_as(endpoint, kind, session, &keys.own, keys.master);
+    // Workers that talk to each other hold the same key.
+    const PublicKey& other = kind == ChannelKind::kPeer ? keys.own.public_key : keys.master;
+    return connect_as(endpoint, kind, session, &keys.own, other);
   }
 
   void wait(std::span<Channel* const> channels, int event_fd,

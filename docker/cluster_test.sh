@@ -85,6 +85,9 @@ status() {
       $1 == "workers" {value["here"] = $2; value["lost"] = $6}
       END {print value[field] == "" ? -1 : value[field]}'
 }
+is_healthy() {
+  [[ $(docker inspect -f '{{.State.Health.Status}}' "$(id_of master)") == healthy ]]
+}
 at_least() { (($(status "$1") >= $2)); }
 
 # begin NAME WORKERS: a cluster on its way, its output in $out.
@@ -124,10 +127,7 @@ bare=(docker run --rm --network none --read-only --cap-drop ALL)
 check "starts without a shell" contains "$("${bare[@]}" preheat preheat --version)" "preheat 0."
 
 begin "four workers" 4
-check "the master is healthy while it renders" eventually equal \
-  "$(eventually_healthy() { eventually healthy && echo healthy; }
-     healthy() { [[ $(docker inspect -f '{{.State.Health.Status}}' "$(id_of master)") == healthy ]]; }
-     eventually_healthy)" healthy
+check "the master is healthy while it renders" eventually is_healthy
 check "no process is root's" equal \
   "$(for id in $(compose ps -q master worker); do docker top "$id" -eo uid | tail -n +2; done |
      sort -u | tr -d ' \n')" 10001
@@ -179,7 +179,7 @@ begin "the master stopped" 2
 check "it renders" eventually at_least "done" 5
 quietly docker stop "$(id_of master)"
 check "it ended in order within its ten seconds" equal "$(exit_code_of "$(id_of master)")" 143
-check "its workers ended with it" eventually equal \
+check "its workers ended with it" equal \
   "$(for worker in 1 2; do docker wait "$(id_of worker $worker)"; done | tr '\n' ' ')" "0 0 "
 check "there is no half image" equal "$(cd "$out" && echo *)" "*"
 quietly compose down --timeout 3

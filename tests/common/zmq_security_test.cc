@@ -274,6 +274,32 @@ TEST_F(Gate, DoesNotOpenAtAllWhenItLetsStrangersIn) {
   EXPECT_THAT(server.error().message, HasSubstr("self-test"));
 }
 
+TEST_F(Gate, OfAWorkerOpensForItsPeersOnly) {
+  const auto keys_of = [](const KeyPair& own) {
+    return Keys{KeyRole::kWorker, copy_of(own), make_key_pair().public_key, {own.public_key}};
+  };
+  const auto transport_of = [&keys_of](const KeyPair& own) {
+    Keys keys = keys_of(own);
+    auto allowed = std::make_shared<AllowList>(keys);
+    return make_zmq_transport(secure_with(std::move(keys), allowed));
+  };
+  const auto serving = transport_of(worker_);
+  const auto server = *serving->listen("tcp://127.0.0.1:*", ChannelKind::kPeer);
+  const auto asking = transport_of(worker_);
+  const auto peer = *asking->connect(server->endpoint(), ChannelKind::kPeer, random_session());
+  const auto elsewhere = transport_of(make_key_pair());
+  const auto stranger =
+      *elsewhere->connect(server->endpoint(), ChannelKind::kPeer, random_session());
+
+  const std::vector<std::byte> frame = encode_frame({}, Unknown{});
+  ASSERT_TRUE(until([&] { return peer->send({}, frame, {}) == SendOutcome::kSent; }));
+  std::optional<Received> received;
+  ASSERT_TRUE(until([&] { return (received = server->receive()).has_value(); }));
+  EXPECT_EQ(received->role, KeyRole::kWorker);
+  ASSERT_TRUE(until([&] { return stranger->handshakes().broken > 0; }));
+  EXPECT_EQ(stranger->send({}, frame, {}), SendOutcome::kFull);
+}
+
 TEST_F(Gate, AKeyThatIsStruckOffIsNotHeardAnyMore) {
   Peer worker = connect_worker();
   expect_heard_first(worker, KeyRole::kWorker);
