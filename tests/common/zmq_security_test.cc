@@ -121,7 +121,7 @@ TEST_F(Gate, StaysClosedForAnUnlistedKeyAndSaysSo) {
   ASSERT_TRUE(until([&] { return stranger.refused(); }));
   EXPECT_FALSE(stranger.send());
   EXPECT_THAT(stranger.channel->handshakes().refused, HasSubstr("does not list"));
-  EXPECT_EQ(server_transport_->denied(), 1U);
+  EXPECT_GE(server_transport_->denied(), 1U);
   Peer worker = connect_worker();
   expect_heard_first(worker, KeyRole::kWorker);
 }
@@ -132,7 +132,7 @@ TEST_F(Gate, StaysClosedWhenNobodyIsListed) {
 
   ASSERT_TRUE(until([&] { return worker.refused(); }));
   EXPECT_FALSE(worker.send());
-  EXPECT_EQ(server_transport_->denied(), 1U);
+  EXPECT_GE(server_transport_->denied(), 1U);
 }
 
 TEST_F(Gate, StaysClosedForOneWithoutAKeyWhichLearnsWhy) {

@@ -288,7 +288,7 @@ TEST_F(Security, WhoIsNotTrustedEndsWithAReasonAndTheRenderGoesOn) {
   const auto worker = start_worker("trust", address_, {"--keys", path("keys")});
   expect_whole("trust", *master);
   EXPECT_EQ(report_of("trust")["workers"].size(), 1U);
-  EXPECT_EQ(report_of("trust")["connections_denied"], 1);
+  EXPECT_GE(report_of("trust")["connections_denied"], 1);
 }
 
 TEST_F(Security, AKeyThatOthersCanReadIsRefusedByBothPrograms) {
