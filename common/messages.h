@@ -2,8 +2,9 @@
 //
 // Control (small frames): Hello ... JobDone. Bulk (chunks): RangeRequest ... TileChunkAck, of which
 // RangeReply and TileChunk carry raw bytes in a frame of their own behind the message.
-// A message's number on the wire is its place in `Message`: append, and raise kProtocolVersion when
-// anything else changes. Every container has its bound in its type.
+// StatusRequest and Status are control again. A message's number on the wire is its place in
+// `Message`: append, and raise kProtocolVersion when anything else changes. Every container has its
+// bound in its type.
 #pragma once
 
 #include <cstddef>
@@ -172,8 +173,31 @@ struct TileChunkAck {
   std::uint64_t offset = 0;
 };
 
-using Message = std::variant<Hello, Welcome, Refuse, Unknown, Ready, Grant, Cancel, ResultAck,
-                             WorkerHeartbeat, MasterHeartbeat, Fault, Goodbye, JobDone,
-                             RangeRequest, RangeReply, TileChunk, TileChunkAck>;
+// Who asks for the status -> master, at any time, without a Hello.
+struct StatusRequest {};
+
+enum class JobPhase : std::uint8_t { kWaiting = 0, kRendering = 1, kFarewell = 2, kOver = 3 };
+
+// Master -> who asked.
+struct Status {
+  BoundedString<64> build{};
+  JobPhase phase = JobPhase::kWaiting;
+  std::uint32_t tiles_done = 0;
+  std::uint32_t tiles_total = 0;
+  std::uint32_t workers = 0;        // here now
+  std::uint32_t workers_ready = 0;  // of these, with their voxels preloaded
+  std::uint32_t workers_lost = 0;   // so far, without a Goodbye
+  std::uint64_t leases_expired = 0;
+  std::uint64_t rays = 0;
+  std::uint64_t accesses = 0;
+  std::uint64_t misses = 0;
+  double waiting_seconds = 0.0;    // since the master listens, until the first lease
+  double rendering_seconds = 0.0;  // since the first lease
+};
+
+using Message =
+    std::variant<Hello, Welcome, Refuse, Unknown, Ready, Grant, Cancel, ResultAck, WorkerHeartbeat,
+                 MasterHeartbeat, Fault, Goodbye, JobDone, RangeRequest, RangeReply, TileChunk,
+                 TileChunkAck, StatusRequest, Status>;
 
 }  // namespace preheat

@@ -80,6 +80,7 @@ class Job {
   [[nodiscard]] const JobKey& key() const { return options_.key; }
   [[nodiscard]] bool over() const { return phase_ == Phase::kOver; }
   [[nodiscard]] MasterProgress progress(Time now) const;
+  [[nodiscard]] Status status(Time now) const;
   // Requires: over(). Once.
   [[nodiscard]] Result<MasterResult> take_result();
 
@@ -87,7 +88,7 @@ class Job {
   static constexpr std::size_t kWorkersMax = 1000;    // at once
   static constexpr std::size_t kSessionsMax = 16384;  // ever
 
-  enum class Phase : std::uint8_t { kWaiting, kRendering, kFarewell, kOver };
+  using Phase = JobPhase;
   enum class Presence : std::uint8_t { kPreparing, kReady, kAbsent };
 
   // A tile's bytes as they come in.
@@ -157,6 +158,7 @@ class Job {
   std::vector<std::unique_ptr<Worker>> workers_;  // by WorkerId
   std::map<std::pair<std::uint64_t, std::uint64_t>, WorkerId> by_session_;
   std::vector<Outgoing> outgoing_;
+  std::uint32_t workers_lost_ = 0;
   Time begin_;
   Time tick_last_;
   Time heartbeat_last_;

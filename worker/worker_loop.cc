@@ -43,15 +43,16 @@ Hello hello_of(const WorkerOptions& options) {
 
 class WorkerLoop {
  public:
-  WorkerLoop(const WorkerOptions& options, Endpoint master, const Hello& hello, int wake_fd)
-      : master_(std::move(master)),
+  WorkerLoop(const WorkerOptions& options, SecureTransport& opened, const Hello& hello, int wake_fd)
+      : master_(opened.endpoint),
         session_id_(hello.session),
         wake_fd_(wake_fd),
         session_(hello, Timers{}.scaled(time_scale()), from_seconds(options.give_up_seconds),
-                 Clock::now()) {}
+                 Clock::now()),
+        transport_(*opened.transport) {}
 
   Result<void> run(const std::atomic<int>& stop_signal) {
-    auto control = transport_->connect(master_.text(), ChannelKind::kControl, session_id_);
+    auto control = transport_.connect(master_.text(), ChannelKind::kControl, session_id_);
     if (!control) { return tl::unexpected(control.error()); }
     control_ = std::move(*control);
     while (!finish_) {
@@ -66,10 +67,14 @@ class WorkerLoop {
     return fail(finish_->code, finish_->text);
   }
 
+  // After run(): whether the next master at the same address may want this worker.
+  [[nodiscard]] bool next_master() const { return finish_ && finish_->next_master; }
+
  private:
   // One round: hear, look at the renderer, think, do, say.
   void turn() {
     tell_counts();
+    session_.on_handshakes(control_->handshakes());
     receive(control_.get(), ChannelKind::kControl);
     receive(bulk_.get(), ChannelKind::kBulk);
     if (renderer_) {
@@ -120,7 +125,7 @@ class WorkerLoop {
   void perform(const ConnectBulk& connect) {
     Endpoint endpoint = master_;
     endpoint.port = connect.port;
-    auto bulk = transport_->connect(endpoint.text(), ChannelKind::kBulk, session_id_);
+    auto bulk = transport_.connect(endpoint.text(), ChannelKind::kBulk, session_id_);
     if (!bulk) {
       finish_ = Finish{bulk.error().code, bulk.error().message};
       return;
@@ -178,7 +183,7 @@ class WorkerLoop {
   void wait() {
     std::vector<Channel*> channels{control_.get()};
     if (bulk_) { channels.push_back(bulk_.get()); }
-    transport_->wait(channels, wake_fd_, queued_.empty() ? kWait : kWaitWhileFull);
+    transport_.wait(channels, wake_fd_, queued_.empty() ? kWait : kWaitWhileFull);
     std::uint64_t wakes = 0;
     static_cast<void>(!::read(wake_fd_, &wakes, sizeof wakes));
   }
@@ -188,7 +193,7 @@ class WorkerLoop {
     const Time end = Clock::now() + std::chrono::seconds(1);
     send();
     while (!queued_.empty() && Clock::now() < end) {
-      transport_->wait({}, -1, kWaitWhileFull);
+      transport_.wait({}, -1, kWaitWhileFull);
       send();
     }
   }
@@ -197,7 +202,7 @@ class WorkerLoop {
   SessionId session_id_;
   int wake_fd_;
   WorkerSession session_;
-  std::unique_ptr<Transport> transport_ = make_zmq_transport();
+  Transport& transport_;
   std::unique_ptr<Channel> control_;
   std::unique_ptr<Channel> bulk_;
   std::deque<Queued> queued_;
@@ -209,15 +214,22 @@ class WorkerLoop {
 
 Result<void> run_worker(const WorkerOptions& options, const std::atomic<int>& stop_signal,
                         int wake_fd) {
-  Result<Endpoint> master = check_endpoint(options.connect, options.insecure_no_auth);
-  if (!master) { return tl::unexpected(master.error()); }
-  if (master->port == 0) {
+  Result<SecureTransport> opened =
+      open_transport(options.connect, options.security, KeyRole::kWorker);
+  if (!opened) { return tl::unexpected(opened.error()); }
+  if (opened->endpoint.port == 0) {
     return fail(
         ExitCode::kUsage,
         fmt::format("bad address \"{}\": a worker needs the master's port", options.connect));
   }
-  WorkerLoop loop{options, std::move(*master), hello_of(options), wake_fd};
-  return loop.run(stop_signal);
+  for (;;) {
+    // A new session each time: no master takes this worker for one it has known.
+    WorkerLoop loop{options, *opened, hello_of(options), wake_fd};
+    Result<void> served = loop.run(stop_signal);
+    if (!options.keep || !loop.next_master()) { return served; }
+    spdlog::info("event=waiting_for_next_master after=\"{}\"",
+                 served ? "the job is done" : served.error().message);
+  }
 }
 
 }  // namespace preheat
