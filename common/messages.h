@@ -23,10 +23,11 @@
 
 namespace preheat {
 
-inline constexpr std::uint16_t kProtocolVersion = 1;
+inline constexpr std::uint16_t kProtocolVersion = 2;
 inline constexpr std::size_t kControlFrameBytesMax = 64 * 1024;
 inline constexpr std::size_t kChunkBytesMax = 256 * 1024;
 inline constexpr std::uint64_t kTablesBytesMax = std::uint64_t{2} << 30;
+inline constexpr std::size_t kVoxelAccessesMax = 4096;  // counts in a message
 inline constexpr std::size_t kLeasesPerWorkerMax = 2 * kThreadsMax + 1;
 
 // Chosen at random by each worker process; names it on both sockets.
@@ -195,9 +196,16 @@ struct Status {
   double rendering_seconds = 0.0;  // since the first lease
 };
 
+// Worker -> master, answering JobDone before the Goodbye: how many rays entered the voxels from
+// `first` on, as counted, voxel by voxel and in order until each has been told.
+struct VoxelAccesses {
+  std::uint32_t first = 0;
+  BoundedVector<std::uint64_t, kVoxelAccessesMax> counts{};
+};
+
 using Message =
     std::variant<Hello, Welcome, Refuse, Unknown, Ready, Grant, Cancel, ResultAck, WorkerHeartbeat,
                  MasterHeartbeat, Fault, Goodbye, JobDone, RangeRequest, RangeReply, TileChunk,
-                 TileChunkAck, StatusRequest, Status>;
+                 TileChunkAck, StatusRequest, Status, VoxelAccesses>;
 
 }  // namespace preheat

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 
+#include "cache/tracer.h"
 #include "common/check.h"
 #include "common/content_hash.h"
 #include "common/tile_codec.h"
@@ -244,6 +245,26 @@ void Job::handle(Worker& worker, const Goodbye& goodbye, Time now) {
   spdlog::info("event=worker_left worker={} tiles={}", index_of(worker.id), goodbye.stats.tiles);
   note(R"({{"event":"leave","time":{:.6f},"worker":{}}})", seconds(now - begin_),
        index_of(worker.id));
+}
+
+void Job::handle(Worker& worker, const VoxelAccesses& told, Time /*now*/) {
+  const std::size_t left = scene_.voxel_count - worker.accesses.size();
+  if (told.first != worker.accesses.size() || told.counts.items.size() > left) { return; }
+  worker.accesses.insert(worker.accesses.end(), told.counts.items.begin(), told.counts.items.end());
+}
+
+std::vector<double> Job::accesses_by_voxel() const {
+  if (options_.count_accesses == AccessCounting::kNone) { return {}; }
+  const double scale =
+      options_.count_accesses == AccessCounting::kSampled ? double{Tracer::kAccessSampling} : 1.0;
+  std::vector<double> sums(scene_.voxel_count, 0.0);
+  for (const auto& worker : workers_) {
+    if (worker->stats.tiles > 0 && worker->accesses.size() != sums.size()) { return {}; }
+    for (std::size_t voxel = 0; voxel < worker->accesses.size(); ++voxel) {
+      sums[voxel] += scale * static_cast<double>(worker->accesses[voxel]);
+    }
+  }
+  return sums;
 }
 
 void Job::expel(Worker& worker, const Refuse& reason, Time now) {
@@ -553,6 +574,7 @@ Result<MasterResult> Job::take_result() {
   MasterResult result{.film = std::move(film_)};
   result.leases = leases_.stats();
   for (const auto& worker : workers_) { result.workers.push_back(worker->stats); }
+  result.accesses_by_voxel = accesses_by_voxel();
   result.poisoned_tiles = leases_.poisoned();
   if (first_lease_) {
     result.preload_seconds = seconds(*first_lease_ - *first_worker_);

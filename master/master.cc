@@ -317,13 +317,15 @@ JobOptions job_options(const MasterOptions& options, const RenderSettings& setti
 // `planner` and `store` outlive the scene.
 JobScene job_scene(const Store& store, Planner& planner) {
   const std::size_t voxel_count = store.tables().voxels.size();
-  return {store.tables_bytes(), content_hash(store.tables_bytes()),
+  return {store.tables_bytes(),
+          content_hash(store.tables_bytes()),
           VoxelServer{store.tables_bytes(), voxel_count,
                       [&store](VoxelId voxel) { return store.block(voxel); }},
           [&store, voxel_count](VoxelId voxel) {
             return index_of(voxel) >= voxel_count || store.block_is_intact(voxel);
           },
-          [&planner](const CacheSize& size) { return planner.plan(size); }};
+          [&planner](const CacheSize& size) { return planner.plan(size); },
+          voxel_count};
 }
 
 }  // namespace

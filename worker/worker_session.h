@@ -11,6 +11,7 @@
 #include <cstdint>
 #include <map>
 #include <optional>
+#include <span>
 #include <string>
 #include <utility>
 #include <variant>
@@ -47,6 +48,8 @@ struct AddTile {
 struct CancelTile {
   TileId tile{};
 };
+// Answered by on_accesses().
+struct TellAccesses {};
 // Send what is to be sent, then end the process.
 struct Finish {
   ExitCode code = ExitCode::kDone;
@@ -55,7 +58,7 @@ struct Finish {
   bool next_master = false;
 };
 using WorkerAction = std::variant<ConnectBulk, StartRenderer, SetHotVoxels, DeliverVoxel, AddTile,
-                                  CancelTile, Finish>;
+                                  CancelTile, TellAccesses, Finish>;
 
 // What the renderer has done so far; told before anything that may say so to the master.
 struct RendererCounts {
@@ -79,6 +82,8 @@ class WorkerSession {
   void on_voxel_malformed(VoxelId voxel, const std::string& reason);
   void on_tile_done(const TileDone& done, Time now);
   void on_renderer_failed(const Error& error);
+  // Renderer::accesses_by_cell(), once all is rendered.
+  void on_accesses(std::span<const CellAccesses> accesses);
   // By a signal: hands the leases back.
   void leave(ExitCode code);
   void tick(Time now);
@@ -108,6 +113,7 @@ class WorkerSession {
   void take_plan(const FetchedObject& object);
   void send_heartbeat(Time now);
   void send(ChannelKind channel, Message message, Payload data = {});
+  void part();  // the job is done
   void fault(FaultKind kind, VoxelId voxel, const std::string& text);
   void finish(ExitCode code, std::string text, bool next_master = false);
 

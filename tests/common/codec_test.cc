@@ -75,7 +75,8 @@ std::vector<Message> one_of_each() {
           TileChunk{LeaseId{1}, TileId{2}, 0, 16384, {5, 6}},
           TileChunkAck{LeaseId{1}, 0},
           StatusRequest{},
-          some_status()};
+          some_status(),
+          VoxelAccesses{4096, {{1, 0, 3}}}};
 }
 
 TEST(Codec, EveryMessageComesBackAsItWentOut) {

@@ -71,6 +71,8 @@ struct SimWorker {
   std::set<VoxelId> tile_needs{};
   Time tile_end{};
   RendererCounts counts{};
+  std::vector<CellAccesses>
+      accesses{};  // one camera ray for every tile, in the voxel of its number
   std::optional<ExitCode> exit{};
 };
 
@@ -82,6 +84,7 @@ class Cluster {
     options.settings.width = kWidth;
     options.settings.height = kHeight;
     options.tile_size = kTileSize;
+    options.count_accesses = AccessCounting::kExact;
     options.bulk_port = 4001;
     options.address = "sim";
     options.build = kBuild;
@@ -97,7 +100,8 @@ class Cluster {
                                return scene_.store.blocks[index_of(voxel)]->bytes();
                              }},
                  [](VoxelId) { return true; },
-                 [this](const CacheSize&) { return Result<WorkerPlan>(plan()); }},
+                 [this](const CacheSize&) { return Result<WorkerPlan>(plan()); },
+                 scene_.store.blocks.size()},
         now_);
   }
 
@@ -271,6 +275,7 @@ class Cluster {
         TileDone done{*worker.tile,
                       {std::vector<float>(pixels * 3, value_of(*worker.tile)),
                        std::vector<float>(pixels, 0.0F)}};
+        ++worker.accesses[index_of(*worker.tile) % worker.accesses.size()].camera;
         worker.tile.reset();
         ++worker.counts.stats.tiles;
         worker.session->on_tile_done(done, now_);
@@ -294,6 +299,7 @@ class Cluster {
     EXPECT_EQ(start.tables.voxels.size(), scene_.store.blocks.size());
     EXPECT_FALSE(worker.started);
     worker.started = true;
+    worker.accesses.resize(start.tables.voxels.size());
   }
   void perform(SimWorker& worker, const SetHotVoxels& hot) {
     EXPECT_TRUE(worker.started);
@@ -311,6 +317,9 @@ class Cluster {
   void perform(SimWorker& worker, const AddTile& add) { worker.queue.push_back(add.tile); }
   void perform(SimWorker& worker, const CancelTile& cancel) {
     std::erase(worker.queue, cancel.tile);
+  }
+  void perform(SimWorker& worker, const TellAccesses& /*tell*/) {
+    worker.session->on_accesses(worker.accesses);
   }
   void perform(SimWorker& worker, const Finish& finish) { worker.exit = finish.code; }
 
@@ -363,6 +372,30 @@ TEST(Cluster, CountsNoDuplicateWhereNothingFailed) {
   EXPECT_EQ(result->leases.duplicates, 0U);
   EXPECT_EQ(result->leases.expired, 0U);
   EXPECT_EQ(result->leases.granted, 104U);
+  // Each worker told what it had counted.
+  double accesses = 0.0;
+  for (const double voxel : result->accesses_by_voxel) { accesses += voxel; }
+  EXPECT_EQ(accesses, 104.0);
+}
+
+TEST(Cluster, SaysNothingOfTheVoxelsIfAWorkerIsLostWithItsCounts) {
+  std::uint64_t silent = 0;
+  for (std::uint64_t seed = 1; seed <= 10; ++seed) {
+    SCOPED_TRACE("seed " + std::to_string(seed));
+    Cluster cluster{seed, {.kills = true}};
+    for (int i = 0; i < 4; ++i) { cluster.join(); }
+    cluster.run(std::chrono::minutes(60));
+    const auto result = cluster.job().take_result();
+    ASSERT_TRUE(result.has_value());
+    if (result->accesses_by_voxel.empty()) {
+      ++silent;
+      continue;
+    }
+    double accesses = 0.0;
+    for (const double voxel : result->accesses_by_voxel) { accesses += voxel; }
+    EXPECT_GE(accesses, 104.0);
+  }
+  EXPECT_GT(silent, 0U);
 }
 
 struct Case {
