@@ -255,8 +255,7 @@ void Job::handle(Worker& worker, const VoxelAccesses& told, Time /*now*/) {
 
 std::vector<double> Job::accesses_by_voxel() const {
   if (options_.count_accesses == AccessCounting::kNone) { return {}; }
-  const double scale =
-      options_.count_accesses == AccessCounting::kSampled ? double{Tracer::kAccessSampling} : 1.0;
+  const double scale = Tracer::accesses_per_count(options_.count_accesses);
   std::vector<double> sums(scene_.voxel_count, 0.0);
   for (const auto& worker : workers_) {
     if (worker->stats.tiles > 0 && worker->accesses.size() != sums.size()) { return {}; }
