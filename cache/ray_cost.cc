@@ -11,8 +11,8 @@
 #include <vector>
 
 #include "cache/renderer.h"
+#include "common/compensated_sum.h"
 #include "common/math.h"
-#include "common/octree_statistics.h"
 #include "common/voxel_block.h"
 
 namespace preheat {
@@ -22,13 +22,18 @@ using Clock = std::chrono::steady_clock;
 
 constexpr std::uint32_t kImageSize = 96;
 constexpr std::uint32_t kTileSize = 16;
-constexpr int kRepeats = 3;  // the quickest counts: nothing makes a render too quick
+constexpr int kRepeats = 6;  // the quickest counts: nothing makes a render too quick
 
-// Bands of a sphere in the coarse and in the fine scene.
+// gamma and delta.
+constexpr double kNoLevel = 0.276;
+constexpr double kLevel = 0.0404;
+
+// Bands of a sphere in the coarse and in the fine room, whose mean is taken: one fits into the
+// processor's caches, the other does not.
 constexpr std::array<unsigned, 2> kSphereBands{4, 24};
 constexpr int kSpheresPerSide = 4;
 
-// ---- the scenes: a room with a lamp, full of spheres ----
+// ---- the room: it has a lamp and is full of spheres ----
 
 void add_triangle(Scene& scene, const Vec3& a, const Vec3& b, const Vec3& c,
                   std::uint32_t material) {
@@ -206,45 +211,29 @@ class TimedRender {
 
 }  // namespace
 
-RayCost solve_ray_cost(const std::array<RayCostSample, 2>& samples) {
-  // Divided by the measured seconds, so that both scenes count alike: a_i alpha + b_i beta = 1.
-  std::array<double, 2> a{};
-  std::array<double, 2> b{};
-  for (std::size_t i = 0; i < 2; ++i) {
-    a[i] = samples[i].scene.traversal_cost / samples[i].seconds_per_ray;
-    b[i] = a[i] * samples[i].scene.objects_per_leaf;
+double levels_per_ray(const SceneTables& tables, const Prediction& prediction) {
+  CompensatedSum levels;
+  for (std::size_t voxel = 0; voxel < tables.voxels.size(); ++voxel) {
+    levels.add(prediction.rays(voxel) *
+               std::log2(1.0 + static_cast<double>(tables.voxels[voxel].triangle_count)));
   }
-  const double determinant = a[0] * b[1] - a[1] * b[0];
-  const double alpha = (b[1] - b[0]) / determinant;
-  const double beta = (a[0] - a[1]) / determinant;
-  if (alpha >= 0.0 && beta >= 0.0) { return {alpha, beta}; }  // false for a determinant of 0
-  const auto alone = [](const std::array<double, 2>& x) {
-    return (x[0] + x[1]) / (x[0] * x[0] + x[1] * x[1]);
-  };
-  const auto error = [](const std::array<double, 2>& x, double factor) {
-    return std::hypot(x[0] * factor - 1.0, x[1] * factor - 1.0);
-  };
-  const bool leaves_explain_more = error(a, alone(a)) <= error(b, alone(b));
-  return leaves_explain_more ? RayCost{alone(a), 0.0} : RayCost{0.0, alone(b)};
+  const double rays = prediction.rays_total();
+  return rays > 0.0 ? levels.value() / rays : 0.0;
 }
 
-Result<std::array<RayCostSample, 2>> measure_ray_cost(unsigned threads) {
-  std::array<RayCostSample, 2> samples;
-  for (std::size_t i = 0; i < 2; ++i) {
-    const Scene scene = make_room(kSphereBands[i]);
-    OctreeLimits limits;
-    limits.threads = threads;
-    const OctreeStatistics statistics = measure_octree(scene, build_octree(scene, limits));
-    const OneVoxel voxel = one_voxel(scene);
+double seconds_per_ray(double room_seconds, double levels) {
+  return room_seconds * (kNoLevel + kLevel * levels);
+}
+
+Result<double> measure_room_ray(unsigned threads) {
+  double sum = 0.0;
+  for (const unsigned bands : kSphereBands) {
+    const OneVoxel voxel = one_voxel(make_room(bands));
     const Result<double> seconds = TimedRender(voxel, threads).seconds_per_ray();
-    if (!seconds) { return tl::unexpected(seconds.error()); }
-    samples[i] = {{statistics.traversal_cost, statistics.objects_per_leaf}, *seconds};
+    if (!seconds) { return seconds; }
+    sum += *seconds;
   }
-  return samples;
-}
-
-Result<RayCost> calibrate_ray_cost(unsigned threads) {
-  return measure_ray_cost(threads).map(solve_ray_cost);
+  return sum / kSphereBands.size();
 }
 
 }  // namespace preheat

@@ -149,7 +149,7 @@ Result<void> run_predict(const PredictOptions& options) {
                                              std::max(1U, std::thread::hardware_concurrency()),
                                              &store, options.knobs});
   if (!prediction) { return tl::unexpected(prediction.error()); }
-  const auto cost = measure_and_forecast_cost(store, *prediction, options.cost);
+  const auto cost = measure_and_forecast_cost(store.tables(), *prediction, options.cost);
   if (!cost) { return tl::unexpected(cost.error()); }
 
   const Ranking ranking(*prediction, store.tables());

@@ -40,15 +40,18 @@ void add_cost_options(CLI::App& app, CostOptions& options) {
 }
 
 Result<CostForecast> forecast_cost(const SceneTables& tables, const Prediction& prediction,
-                                   const CostOptions& options, double seconds_per_ray,
+                                   const CostOptions& options, double room_seconds,
                                    unsigned threads_measured) {
   const Result<std::uint64_t> cache_bytes = options.cache.resolve(tables);
   if (!cache_bytes) { return tl::unexpected(cache_bytes.error()); }
   CostForecast forecast;
   forecast.threads = options.workers * options.threads;
-  forecast.seconds_per_ray = seconds_per_ray * threads_measured / forecast.threads;
+  forecast.seconds_per_ray = seconds_per_ray(room_seconds, levels_per_ray(tables, prediction)) *
+                             threads_measured / forecast.threads;
   forecast.tracing_seconds = prediction.rays_total() * forecast.seconds_per_ray;
-  forecast.tracing_seconds_error = prediction.rays_total_error * forecast.seconds_per_ray;
+  forecast.tracing_seconds_error =
+      std::hypot(kRayCostError * forecast.tracing_seconds,
+                 prediction.rays_total_error * forecast.seconds_per_ray);
 
   const PreloadPlan plan = plan_preload(tables, prediction, *cache_bytes, options.preload_share);
   std::vector<bool> is_hot(tables.voxels.size(), false);
@@ -65,23 +68,24 @@ Result<CostForecast> forecast_cost(const SceneTables& tables, const Prediction& 
   return forecast;
 }
 
-Result<CostForecast> measure_and_forecast_cost(const Store& store, const Prediction& prediction,
+Result<CostForecast> measure_and_forecast_cost(const SceneTables& tables,
+                                               const Prediction& prediction,
                                                const CostOptions& options) {
   const unsigned threads =
       std::clamp(std::thread::hardware_concurrency(), 1U, options.workers * options.threads);
-  const Result<RayCost> cost = calibrate_ray_cost(threads);
-  if (!cost) { return tl::unexpected(cost.error()); }
-  const RayCostScene scene{store.info().traversal_cost, store.info().objects_per_leaf};
-  return forecast_cost(store.tables(), prediction, options, cost->seconds_per_ray(scene), threads);
+  const Result<double> room_seconds = measure_room_ray(threads);
+  if (!room_seconds) { return tl::unexpected(room_seconds.error()); }
+  return forecast_cost(tables, prediction, options, *room_seconds, threads);
 }
 
 std::string cost_table(const CostForecast& forecast, const Prediction& prediction) {
   return fmt::format(
       "standard error   {:.3g} rays\n"
-      "tracing          {:.3g} s with {} threads, {:.3g} ns a ray\n"
+      "tracing          {:.3g} s +- {:.2g} s with {} threads, {:.3g} ns a ray\n"
       "each worker      preloads {:.0f} bytes, fetches {:.0f} while it renders\n",
-      prediction.rays_total_error, forecast.tracing_seconds, forecast.threads,
-      forecast.seconds_per_ray * 1e9, forecast.preload_bytes, forecast.fetch_bytes);
+      prediction.rays_total_error, forecast.tracing_seconds, forecast.tracing_seconds_error,
+      forecast.threads, forecast.seconds_per_ray * 1e9, forecast.preload_bytes,
+      forecast.fetch_bytes);
 }
 
 nlohmann::ordered_json cost_json(const CostForecast& forecast) {

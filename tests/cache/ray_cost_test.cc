@@ -7,60 +7,55 @@
 namespace preheat {
 namespace {
 
-TEST(RayCost, IsTheSumThatThePaperGives) {
-  // [P] section 2: C_ray = alpha C_t + beta m C_t.
-  const RayCost cost{/*leaf_seconds=*/3.0, /*object_seconds=*/0.5};
-
-  EXPECT_DOUBLE_EQ(cost.seconds_per_ray({/*traversal_cost=*/4.0, /*objects_per_leaf=*/10.0}),
-                   3.0 * 4.0 + 0.5 * 10.0 * 4.0);
-}
-
-TEST(RayCost, IsSolvedFromTwoScenes) {
-  const RayCost truth{/*leaf_seconds=*/2e-8, /*object_seconds=*/3e-9};
-  const RayCostScene coarse{/*traversal_cost=*/5.0, /*objects_per_leaf=*/4.0};
-  const RayCostScene fine{/*traversal_cost=*/40.0, /*objects_per_leaf=*/16.0};
-
-  const RayCost solved = solve_ray_cost(
-      {{{coarse, truth.seconds_per_ray(coarse)}, {fine, truth.seconds_per_ray(fine)}}});
-
-  EXPECT_NEAR(solved.leaf_seconds, truth.leaf_seconds, 1e-14);
-  EXPECT_NEAR(solved.object_seconds, truth.object_seconds, 1e-15);
-}
-
-TEST(RayCost, IsNeverNegative) {
-  // More leaves and more objects in less time: no positive pair explains that.
-  for (const double seconds_fine : {1e-9, 1e-7, 1e-5}) {
-    for (const double objects_fine : {4.0, 8.0}) {
-      const RayCost solved =
-          solve_ray_cost({{{{5.0, 4.0}, 1e-7}, {{40.0, objects_fine}, seconds_fine}}});
-
-      EXPECT_GE(solved.leaf_seconds, 0.0);
-      EXPECT_GE(solved.object_seconds, 0.0);
-      EXPECT_GT(solved.leaf_seconds + solved.object_seconds, 0.0);
-    }
+// Three voxels of 1, 3 and 7 triangles.
+SceneTables small_tables() {
+  SceneTables tables;
+  for (const std::uint32_t triangles : {1U, 3U, 7U}) {
+    VoxelEntry entry;
+    entry.triangle_count = triangles;
+    tables.voxels.push_back(entry);
   }
+  return tables;
+}
+
+Prediction of_rays(const std::vector<double>& camera, const std::vector<double>& shadow) {
+  Prediction prediction;
+  prediction.rays_camera = camera;
+  prediction.rays_scatter.assign(camera.size(), 0.0);
+  prediction.rays_shadow = shadow;
+  return prediction;
+}
+
+TEST(RayCost, CountsTheLevelsOfTheVoxelsThatRaysEnter) {
+  Prediction prediction = of_rays({10.0, 15.0, 0.0}, {0.0, 5.0, 5.0});
+  prediction.camera_total = 60.0;
+  prediction.shadow_total = 40.0;
+
+  // 10 * 1 + 20 * 2 + 5 * 3 levels for 100 rays.
+  EXPECT_DOUBLE_EQ(levels_per_ray(small_tables(), prediction), 0.65);
+}
+
+TEST(RayCost, IsOfNoLevelsWhereNoRayIsExpected) {
+  EXPECT_EQ(levels_per_ray(small_tables(), of_rays({0.0, 0.0, 0.0}, {0.0, 0.0, 0.0})), 0.0);
+}
+
+TEST(RayCost, IsLinearInTheLevelsAndInTheMachine) {
+  const double none = seconds_per_ray(1e-6, 0.0);
+
+  EXPECT_GT(none, 0.0);
+  EXPECT_GT(seconds_per_ray(1e-6, 1.0), none);
+  EXPECT_NEAR(seconds_per_ray(1e-6, 20.0) - none, 2.0 * (seconds_per_ray(1e-6, 10.0) - none),
+              1e-15);
+  EXPECT_DOUBLE_EQ(seconds_per_ray(3e-6, 20.0), 3.0 * seconds_per_ray(1e-6, 20.0));
 }
 
 TEST(RayCost, IsMeasuredOnTheRendererItself) {
   for (const unsigned threads : {1U, 2U}) {
-    const auto samples = measure_ray_cost(threads);
+    const Result<double> seconds = measure_room_ray(threads);
 
-    ASSERT_TRUE(samples.has_value()) << samples.error().message;
-    for (const RayCostSample& sample : *samples) {
-      std::printf("%u threads: C_t %.2f, m %.2f, %.0f ns a ray\n", threads,
-                  sample.scene.traversal_cost, sample.scene.objects_per_leaf,
-                  sample.seconds_per_ray * 1e9);
-      EXPECT_GT(sample.scene.traversal_cost, 0.0);
-      EXPECT_GT(sample.scene.objects_per_leaf, 0.0);
-      EXPECT_GT(sample.seconds_per_ray, 0.0);
-    }
-    // The fine scene is the larger one in what the formula reads.
-    EXPECT_GT((*samples)[1].scene.traversal_cost * (*samples)[1].scene.objects_per_leaf,
-              (*samples)[0].scene.traversal_cost * (*samples)[0].scene.objects_per_leaf);
-    const RayCost cost = solve_ray_cost(*samples);
-    for (const RayCostSample& sample : *samples) {
-      EXPECT_GT(cost.seconds_per_ray(sample.scene), 0.0);
-    }
+    ASSERT_TRUE(seconds.has_value()) << seconds.error().message;
+    std::printf("%u threads: %.0f ns a ray of the rooms\n", threads, *seconds * 1e9);
+    EXPECT_GT(*seconds, 0.0);
   }
 }
 

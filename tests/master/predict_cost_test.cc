@@ -1,5 +1,6 @@
 #include "master/predict_cost.h"
 
+#include <fmt/format.h>
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -35,14 +36,18 @@ TEST(PredictCost, IsRaysTimesTheSecondsOfOne) {
   options.workers = 4;
   options.threads = 2;
 
+  const SceneTables tables = three_voxels();
+  const Prediction prediction = prediction_of({1.0, 1.0, 1.0});
   // Measured with two threads together; eight take a quarter of it.
-  const auto forecast = forecast_cost(three_voxels(), prediction_of({1.0, 1.0, 1.0}), options,
-                                      /*seconds_per_ray=*/1e-6, /*threads_measured=*/2);
+  const auto forecast =
+      forecast_cost(tables, prediction, options, /*room_seconds=*/1e-6, /*threads_measured=*/2);
 
   ASSERT_TRUE(forecast.has_value()) << forecast.error().message;
+  const double seconds = 0.25 * seconds_per_ray(1e-6, levels_per_ray(tables, prediction));
   EXPECT_EQ(forecast->threads, 8U);
-  EXPECT_DOUBLE_EQ(forecast->tracing_seconds, 0.25);
-  EXPECT_DOUBLE_EQ(forecast->tracing_seconds_error, 0.25e-3);
+  EXPECT_DOUBLE_EQ(forecast->seconds_per_ray, seconds);
+  EXPECT_DOUBLE_EQ(forecast->tracing_seconds, 1e6 * seconds);
+  EXPECT_DOUBLE_EQ(forecast->tracing_seconds_error, std::hypot(kRayCostError * 1e6, 1e3) * seconds);
 }
 
 TEST(PredictCost, FetchesWhatIsNotHotAndWhatSomeRayEnters) {
@@ -92,8 +97,11 @@ TEST(PredictCost, SaysTheSameInTheTableAndInJson) {
   const std::string table = cost_table(*forecast, prediction);
 
   EXPECT_EQ(json["threads"], 2);
-  EXPECT_DOUBLE_EQ(json["tracing_seconds"].get<double>(), 1.0);
-  EXPECT_NE(table.find("1 s with 2 threads, 1e+03 ns a ray"), std::string::npos) << table;
+  EXPECT_DOUBLE_EQ(json["tracing_seconds"].get<double>(), forecast->tracing_seconds);
+  const std::string line =
+      fmt::format("{:.3g} s +- {:.2g} s with 2 threads, {:.3g} ns a ray", forecast->tracing_seconds,
+                  forecast->tracing_seconds_error, forecast->seconds_per_ray * 1e9);
+  EXPECT_NE(table.find(line), std::string::npos) << table;
 }
 
 }  // namespace
