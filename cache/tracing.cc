@@ -237,15 +237,24 @@ Vec3 shading_normal(const MeshArrays& arrays, std::uint32_t primitive,
   return glm::dot(normal, normal_geometric) < 0.0F ? -normal : normal;
 }
 
-// Error bounds as pbrt-v4 section 6.8.4, equation 6.25: gamma(7) times the sum of magnitudes.
 void fill_surface(const QueryContext& context, RayQuery& query) {
-  const MeshArrays& arrays = *context.arrays;
   query.triangle_best = best_triangle(context);
-  const std::array<float, 3> weights{1.0F - context.u - context.v, context.u, context.v};
-  const Vec3 a = vertex_at(arrays, context.primitive, 0);
-  const Vec3 b = vertex_at(arrays, context.primitive, 1);
-  const Vec3 c = vertex_at(arrays, context.primitive, 2);
-  SurfaceHit& surface = query.surface;
+  query.surface =
+      surface_of(*context.arrays, context.primitive, query.t_best, context.u, context.v);
+}
+
+const char* choose_isa() { return __builtin_cpu_supports("avx2") ? "avx2" : "sse4.2"; }
+
+}  // namespace
+
+// Error bounds as pbrt-v4 section 6.8.4, equation 6.25: gamma(7) times the sum of magnitudes.
+SurfaceHit surface_of(const MeshArrays& arrays, std::uint32_t primitive, float t, float u,
+                      float v) {
+  const std::array<float, 3> weights{1.0F - u - v, u, v};
+  const Vec3 a = vertex_at(arrays, primitive, 0);
+  const Vec3 b = vertex_at(arrays, primitive, 1);
+  const Vec3 c = vertex_at(arrays, primitive, 2);
+  SurfaceHit surface;
   surface.position = a * weights[0] + b * weights[1] + c * weights[2];
   const Vec3 magnitude =
       glm::abs(a * weights[0]) + glm::abs(b * weights[1]) + glm::abs(c * weights[2]);
@@ -255,16 +264,12 @@ void fill_surface(const QueryContext& context, RayQuery& query) {
   const Vec3d normal = glm::cross(Vec3d(b) - Vec3d(a), Vec3d(c) - Vec3d(a));
   const double length = std::sqrt(glm::dot(normal, normal));
   surface.normal_geometric = Vec3(normal / length);
-  surface.normal_shading =
-      shading_normal(arrays, context.primitive, weights, surface.normal_geometric);
-  surface.distance = query.t_best;
-  surface.triangle = query.triangle_best;
-  surface.material = arrays.materials[context.primitive];
+  surface.normal_shading = shading_normal(arrays, primitive, weights, surface.normal_geometric);
+  surface.distance = t;
+  surface.triangle = arrays.triangles[primitive];
+  surface.material = arrays.materials[primitive];
+  return surface;
 }
-
-const char* choose_isa() { return __builtin_cpu_supports("avx2") ? "avx2" : "sse4.2"; }
-
-}  // namespace
 
 const char* tracing_isa() {
   static const char* const isa = choose_isa();

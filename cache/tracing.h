@@ -90,6 +90,10 @@ struct MeshArrays {
   std::span<const std::uint32_t> materials{};  // [triangle_count]
 };
 
+// What shading needs of a hit at `t` with the barycentric coordinates u and v of Embree.
+[[nodiscard]] SurfaceHit surface_of(const MeshArrays& arrays, std::uint32_t primitive, float t,
+                                    float u, float v);
+
 // One cold voxel, built: its block stays with the owner, the tree over it lives here.
 class VoxelMesh {
  public:

@@ -45,17 +45,19 @@ void keep_lowest(const RTCFilterFunctionNArguments* arguments) {
 
 struct BareEmbree::Impl {
   MeshArrays mesh{};
+  bool has_surface = false;
   RTCDevice device = nullptr;
   RTCScene scene = nullptr;
 };
 
 BareEmbree::BareEmbree(const MeshArrays& mesh, HitFilter filter) : impl_(std::make_unique<Impl>()) {
   impl_->mesh = mesh;
+  impl_->has_surface = filter == HitFilter::kLowestWithSurface;
   impl_->device = rtcNewDevice((std::string("isa=") + tracing_isa()).c_str());
   CHECK(impl_->device != nullptr);
   impl_->scene =
       test::triangle_scene(impl_->device, mesh.positions, mesh.indices,
-                           filter == HitFilter::kLowest ? keep_lowest : nullptr, &impl_->mesh);
+                           filter == HitFilter::kNone ? nullptr : keep_lowest, &impl_->mesh);
 }
 
 BareEmbree::~BareEmbree() {
@@ -74,7 +76,13 @@ std::size_t BareEmbree::trace_closest(std::span<const Ray> rays) const {
     query.hit.geomID = RTC_INVALID_GEOMETRY_ID;
     query.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
     intersect(impl_->scene, best, query);
-    hits += query.hit.geomID != RTC_INVALID_GEOMETRY_ID ? 1U : 0U;
+    if (impl_->has_surface && best.triangle != kNoTriangle) {
+      // A sum of what was fetched, so that it is.
+      const SurfaceHit surface = surface_of(impl_->mesh, best.primitive, best.t, best.u, best.v);
+      hits += surface.material + (surface.normal_shading.x > surface.position.x ? 1U : 0U);
+    } else {
+      hits += query.hit.geomID != RTC_INVALID_GEOMETRY_ID ? 1U : 0U;
+    }
   }
   return hits;
 }

@@ -15,8 +15,9 @@ class BareEmbree {
   enum class HitFilter {
     kNone,
     // What any renderer needs whose bits must not depend on the layout: the lowest (t, triangle)
-    // wins, and the window of candidates stays a little open behind it. No surface is fetched.
+    // wins, and the window of candidates stays a little open behind it.
     kLowest,
+    kLowestWithSurface,  // and what shading needs of the hit is fetched
   };
 
   BareEmbree(const MeshArrays& mesh, HitFilter filter);  // `mesh` is copied, its arrays are not
@@ -24,7 +25,7 @@ class BareEmbree {
   BareEmbree(const BareEmbree&) = delete;
   BareEmbree& operator=(const BareEmbree&) = delete;
 
-  // The number of rays that hit.
+  // The number of rays that hit; with a surface, of what was fetched of it.
   [[nodiscard]] std::size_t trace_closest(std::span<const Ray> rays) const;
   [[nodiscard]] std::size_t trace_any(std::span<const Ray> rays) const;
 

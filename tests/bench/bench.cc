@@ -182,6 +182,8 @@ BENCHMARK_CAPTURE(plain_embree, closest, BareEmbree::HitFilter::kNone, false)
     ->Unit(benchmark::kMillisecond);
 BENCHMARK_CAPTURE(plain_embree, closest_filtered, BareEmbree::HitFilter::kLowest, false)
     ->Unit(benchmark::kMillisecond);
+BENCHMARK_CAPTURE(plain_embree, closest_surface, BareEmbree::HitFilter::kLowestWithSurface, false)
+    ->Unit(benchmark::kMillisecond);
 BENCHMARK_CAPTURE(plain_embree, any, BareEmbree::HitFilter::kNone, true)
     ->Unit(benchmark::kMillisecond);
 
