@@ -18,6 +18,15 @@ std::uint64_t share_of(std::uint64_t bytes, double share) {
   return static_cast<std::uint64_t>(share * static_cast<double>(bytes));
 }
 
+// Fewer expected rays than this in the whole frame, and a voxel is not worth fetching unasked.
+constexpr double kWarmRaysMin = 1.0;
+
+// Of a voxel with a tree of its own.
+std::uint64_t cold_bytes(const VoxelEntry& entry) {
+  return std::min(entry.resident_bytes,
+                  entry.block_bytes + VoxelMesh::bytes_max(entry.triangle_count));
+}
+
 // The largest voxel that is not hot, as voxels become so one by one.
 class LargestCold {
  public:
@@ -55,20 +64,29 @@ class LargestCold {
 std::uint64_t budget_auto(const std::vector<VoxelEntry>& voxels,
                           const std::vector<std::uint32_t>& order,
                           std::uint64_t cache_limit_bytes) {
-  const auto cold_bytes = [&](std::uint32_t voxel) {
-    const VoxelEntry& entry = voxels[voxel];
-    return std::min(entry.resident_bytes,
-                    entry.block_bytes + VoxelMesh::bytes_max(entry.triangle_count));
-  };
   std::uint64_t needed = 0;
-  for (const std::uint32_t voxel : order) { needed += cold_bytes(voxel); }
+  for (const std::uint32_t voxel : order) { needed += cold_bytes(voxels[voxel]); }
   std::uint64_t hot_bytes = 0;
   for (const std::uint32_t voxel : order) {
-    needed += voxels[voxel].resident_bytes - cold_bytes(voxel);
+    needed += voxels[voxel].resident_bytes - cold_bytes(voxels[voxel]);
     if (needed > cache_limit_bytes) { break; }
     hot_bytes += voxels[voxel].resident_bytes;
   }
   return std::max(hot_bytes, share_of(cache_limit_bytes, kShareOfSmallCache));
+}
+
+// `order`: the hottest first.
+void add_warm(PreloadPlan& plan, const SceneTables& tables, const Prediction& prediction,
+              const std::vector<std::uint32_t>& order, std::uint64_t cache_limit_bytes) {
+  std::vector<bool> is_hot(tables.voxels.size(), false);
+  for (const VoxelId voxel : plan.hot) { is_hot[index_of(voxel)] = true; }
+  std::uint64_t room = cache_limit_bytes - plan.hot_bytes;
+  for (const std::uint32_t voxel : order) {
+    const std::uint64_t bytes = cold_bytes(tables.voxels[voxel]);
+    if (is_hot[voxel] || prediction.rays(voxel) < kWarmRaysMin || bytes > room) { continue; }
+    plan.warm.push_back(VoxelId{voxel});
+    room -= bytes;
+  }
 }
 
 }  // namespace
@@ -101,6 +119,7 @@ PreloadPlan plan_preload(const SceneTables& tables, const Prediction& prediction
     plan.hot_bytes += bytes;
     largest_cold.make_hot(voxel);
   }
+  if (share < 0.0) { add_warm(plan, tables, prediction, order, cache_limit_bytes); }
   return plan;
 }
 

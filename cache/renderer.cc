@@ -57,7 +57,7 @@ class Renderer::Impl {
        std::function<void()> wake);
   ~Impl();
 
-  void set_hot_voxels(const std::vector<VoxelId>& voxels);
+  void set_hot_voxels(const std::vector<VoxelId>& voxels, std::vector<VoxelId> warm);
   Result<void> deliver(VoxelId voxel, const VoxelBytes& bytes);
   void add_tile(TileId tile);
   void cancel_tile(TileId tile);
@@ -116,6 +116,7 @@ class Renderer::Impl {
 
   // The hot set, until it is built.
   std::vector<bool> is_hot_;
+  std::vector<VoxelId> warm_;
   std::size_t hot_missing_ = 0;
   std::vector<bool> hot_delivered_;
   std::unique_ptr<HotMesh> hot_mesh_;
@@ -162,13 +163,14 @@ Renderer::Impl::~Impl() {
   for (std::thread& thread : tracer_threads_) { thread.join(); }
 }
 
-void Renderer::Impl::set_hot_voxels(const std::vector<VoxelId>& voxels) {
+void Renderer::Impl::set_hot_voxels(const std::vector<VoxelId>& voxels, std::vector<VoxelId> warm) {
   const std::lock_guard lock(mutex_);
   CHECK(hot_mesh_ == nullptr);
   hot_begin_ = Clock::now();
   hot_mesh_ = std::make_unique<HotMesh>(tables_, voxels);
   for (const VoxelId voxel : voxels) { is_hot_[index_of(voxel)] = true; }
   hot_missing_ = voxels.size();
+  warm_ = std::move(warm);
   preload_.voxels = voxels.size();
   if (hot_missing_ == 0) {
     jobs_.emplace_back(BuildHotSet{});
@@ -246,6 +248,8 @@ WorkerStats Renderer::Impl::stats() const {
   }
   if (cache_) {
     const VoxelCache::Counts& counts = cache_->counts();
+    stats.preload.voxels += counts.prefetches;
+    stats.preload.bytes += counts.prefetched_bytes;
     stats.cache.peak_bytes += cache_->held_bytes_peak();
     stats.cache.remote_fetches = counts.fetches;
     stats.cache.remote_bytes = counts.fetched_bytes;
@@ -363,6 +367,8 @@ void Renderer::Impl::build_hot_set() {
     tracer_threads_.emplace_back([this, index] { run_tracer(index); });
   }
   emit(HotSetReady{preload_});
+  cache_->prefetch(std::exchange(warm_, {}));
+  step_cache();
 }
 
 void Renderer::Impl::build_voxel(VoxelId voxel) {
@@ -475,7 +481,9 @@ Renderer::Renderer(SceneTables tables, const RenderSettings& settings,
                    const RendererOptions& options, std::function<void()> wake)
     : impl_(std::make_unique<Impl>(std::move(tables), settings, options, std::move(wake))) {}
 Renderer::~Renderer() = default;
-void Renderer::set_hot_voxels(std::vector<VoxelId> voxels) { impl_->set_hot_voxels(voxels); }
+void Renderer::set_hot_voxels(std::vector<VoxelId> voxels, std::vector<VoxelId> warm) {
+  impl_->set_hot_voxels(voxels, std::move(warm));
+}
 Result<void> Renderer::deliver(VoxelId voxel, VoxelBytes bytes) {
   return impl_->deliver(voxel, bytes);
 }

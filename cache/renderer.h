@@ -51,7 +51,7 @@ struct VoxelBytes {
 struct HotSetReady {
   PreloadStats preload{};
 };
-// Rays wait for a voxel that is not held. Said once; the owner fetches it and calls deliver, or
+// Rays wait for a voxel that is not held, or it is a warm one. Said once; the owner fetches it and calls deliver, or
 // says it again later itself. Sent only while the cache has promised room for the block.
 struct VoxelNeeded {
   VoxelId voxel{};
@@ -75,8 +75,10 @@ class Renderer {
   Renderer& operator=(const Renderer&) = delete;
 
   // Call once, before the first tile runs: the voxels of the hot set, then deliver each of them
-  // (which here is preload, not a remote fetch). An empty list is allowed.
-  void set_hot_voxels(std::vector<VoxelId> voxels);
+  // (which here is preload, not a remote fetch). An empty list is allowed. The warm ones are asked
+  // for by VoxelNeeded once the hot set is built, in this order and as far as the cache has room,
+  // and count as preload as well.
+  void set_hot_voxels(std::vector<VoxelId> voxels, std::vector<VoxelId> warm = {});
 
   // A voxel's bytes have arrived, asked for or not. Bytes nobody wants any more are dropped. An
   // error if the block is malformed: then the voxel counts as never delivered.

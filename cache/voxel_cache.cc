@@ -29,6 +29,10 @@ void VoxelCache::add_waiting(VoxelId voxel, std::uint64_t rays) {
   }
 }
 
+void VoxelCache::prefetch(std::span<const VoxelId> voxels) {
+  unasked_.insert(unasked_.end(), voxels.begin(), voxels.end());
+}
+
 void VoxelCache::served(VoxelId voxel, std::uint64_t rays) {
   Slot& slot = slots_[index_of(voxel)];
   CHECK(slot.state == State::kBuilt && slot.waiting >= rays);
@@ -41,8 +45,8 @@ bool VoxelCache::block_arrived(VoxelId voxel) {
   slot.state = State::kRaw;
   slot.held_before = false;
   hold(block_bytes(voxel));
-  ++counts_.fetches;
-  counts_.fetched_bytes += block_bytes(voxel);
+  (slot.prefetched ? counts_.prefetches : counts_.fetches) += 1;
+  (slot.prefetched ? counts_.prefetched_bytes : counts_.fetched_bytes) += block_bytes(voxel);
   return true;
 }
 
@@ -109,6 +113,37 @@ bool VoxelCache::make_room(VoxelId kept, std::uint64_t bytes, std::vector<Comman
   return promised_bytes_ + bytes <= limit_bytes_;
 }
 
+void VoxelCache::admit(VoxelId voxel, std::vector<Command>& commands) {
+  Slot& slot = slots_[index_of(voxel)];
+  const bool raw = slot.state == State::kRaw;
+  slot.bvh_bytes = voxels_[index_of(voxel)].bvh_bytes_max;
+  promised_bytes_ += slot.bvh_bytes + (raw ? 0 : block_bytes(voxel));
+  ++under_way_;
+  if (raw) {
+    slot.state = State::kBuilding;
+    commands.push_back({Action::kBuild, voxel});
+  } else {
+    slot.state = State::kFetching;
+    slot.prefetched = slot.waiting == 0;
+    occupied_.push_back(voxel);
+    commands.push_back({Action::kFetch, voxel});
+  }
+}
+
+void VoxelCache::admit_prefetches(std::vector<Command>& commands) {
+  while (!unasked_.empty() && under_way_ < kCommandsUnderWayMax) {
+    const VoxelId voxel = unasked_.front();
+    const bool absent = slots_[index_of(voxel)].state == State::kAbsent;
+    const std::uint64_t bytes = block_bytes(voxel) + voxels_[index_of(voxel)].bvh_bytes_max;
+    if (absent && promised_bytes_ + bytes > limit_bytes_) {
+      unasked_.clear();  // what is held is used by now
+      return;
+    }
+    unasked_.pop_front();
+    if (absent) { admit(voxel, commands); }
+  }
+}
+
 std::vector<VoxelCache::Command> VoxelCache::step() {
   std::vector<Command> commands;
   // Blocks that have arrived for an admitted voxel: their BVH's bytes are promised already.
@@ -130,23 +165,13 @@ std::vector<VoxelCache::Command> VoxelCache::step() {
     const VoxelId voxel = wanted_[admitted];
     Slot& slot = slots_[index_of(voxel)];
     if (slot.state == State::kWithdrawing) { break; }
-    const bool raw = slot.state == State::kRaw;
-    const std::uint64_t bvh_bytes = voxels_[index_of(voxel)].bvh_bytes_max;
-    const std::uint64_t bytes = bvh_bytes + (raw ? 0 : block_bytes(voxel));
+    const std::uint64_t bytes = voxels_[index_of(voxel)].bvh_bytes_max +
+                                (slot.state == State::kRaw ? 0 : block_bytes(voxel));
     if (!make_room(voxel, bytes, commands)) { break; }
-    promised_bytes_ += bytes;
-    slot.bvh_bytes = bvh_bytes;
-    ++under_way_;
-    if (raw) {
-      slot.state = State::kBuilding;
-      commands.push_back({Action::kBuild, voxel});
-    } else {
-      slot.state = State::kFetching;
-      occupied_.push_back(voxel);
-      commands.push_back({Action::kFetch, voxel});
-    }
+    admit(voxel, commands);
   }
   wanted_.erase(wanted_.begin(), wanted_.begin() + static_cast<std::ptrdiff_t>(admitted));
+  if (wanted_.empty()) { admit_prefetches(commands); }
   CHECK(held_bytes_ <= promised_bytes_ && promised_bytes_ <= limit_bytes_);
   return commands;
 }

@@ -7,8 +7,9 @@
 // A voxel that rays wait for is admitted when its whole resident size (block and bound of its BVH)
 // can be had; what is admitted is never evicted before it has served the rays that waited for it.
 // So admitted voxels always come to an end, and a limit of one voxel still renders: they are
-// admitted in turn. Room is made from the voxel that was used longest ago: first its BVH goes, then
-// its block.
+// admitted in turn. What is prefetched is admitted while nothing is waited for, and never takes the
+// place of anything. Room is made from the voxel that was used longest ago: first its BVH goes,
+// then its block.
 //
 // Invariant, checked after every step: held_bytes() <= promised_bytes() <= limit_bytes.
 //
@@ -16,7 +17,9 @@
 #pragma once
 
 #include <cstdint>
+#include <deque>
 #include <functional>
+#include <span>
 #include <utility>
 #include <vector>
 
@@ -38,8 +41,10 @@ class VoxelCache {
     friend bool operator==(const Command&, const Command&) = default;
   };
   struct Counts {
-    std::uint64_t fetches = 0;  // blocks that arrived
+    std::uint64_t fetches = 0;  // blocks that arrived because rays waited
     std::uint64_t fetched_bytes = 0;
+    std::uint64_t prefetches = 0;  // blocks that arrived unasked
+    std::uint64_t prefetched_bytes = 0;
     std::uint64_t rebuilds = 0;   // builds from a block that was held already
     std::uint64_t evictions = 0;  // blocks or BVHs given up
   };
@@ -57,6 +62,9 @@ class VoxelCache {
   // Commands to carry out after the calls since the last step, in this order. At most
   // `commands_under_way_max` fetches and builds run at a time.
   [[nodiscard]] std::vector<Command> step();
+
+  // Voxels to hold before rays ask for them, in this order, as far as there is room.
+  void prefetch(std::span<const VoxelId> voxels);
 
   // Rays began to wait for a voxel, or have been served.
   void add_waiting(VoxelId voxel, std::uint64_t rays);
@@ -84,6 +92,7 @@ class VoxelCache {
   struct Slot {
     State state = State::kAbsent;
     bool held_before = false;     // the block was there before the build was asked for
+    bool prefetched = false;      // what is being fetched was not asked for
     std::uint64_t bvh_bytes = 0;  // promised until built, then real
     std::uint64_t waiting = 0;
   };
@@ -96,12 +105,16 @@ class VoxelCache {
     return voxels_[index_of(voxel)].block_bytes;
   }
   void hold(std::uint64_t bytes);
+  // Promises the room that there must be, and says what comes next.
+  void admit(VoxelId voxel, std::vector<Command>& commands);
+  void admit_prefetches(std::vector<Command>& commands);
 
   std::vector<Size> voxels_;
   std::uint64_t limit_bytes_;
   std::function<std::uint64_t(VoxelId)> last_used_;
   std::vector<Slot> slots_;
   std::vector<VoxelId> wanted_;    // waited for and not yet admitted
+  std::deque<VoxelId> unasked_;    // to be prefetched
   std::vector<VoxelId> occupied_;  // every voxel that is not absent
   std::uint64_t promised_bytes_ = 0;
   std::uint64_t held_bytes_ = 0;

@@ -58,6 +58,9 @@ struct Hello {
   std::uint32_t process_id = 0;  // for the log
 };
 
+// No voxel has this number.
+inline constexpr std::uint32_t kPlanDivider = 0xFFFFFFFF;
+
 // Master -> worker: what to render and where to fetch what it needs.
 struct Welcome {
   WorkerId worker{};
@@ -68,7 +71,8 @@ struct Welcome {
   std::uint64_t cache_limit_bytes = 0;
   std::uint64_t tables_bytes = 0;  // SceneTables, encoded
   Hash128 tables_hash{};
-  std::uint64_t plan_bytes = 0;  // hot voxel ids in order, u32 little-endian
+  // Ids of hot voxels in order, kPlanDivider, those of warm ones; u32 little-endian.
+  std::uint64_t plan_bytes = 0;
   Hash128 plan_hash{};
 };
 

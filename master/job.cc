@@ -167,7 +167,7 @@ void Job::handle_hello(const SessionId& from, const Hello& hello, Time now) {
   if (!first_worker_) { first_worker_ = now; }
   spdlog::info("event=worker_joined worker={} pid={} threads={} cache_bytes={} hot_voxels={}",
                index_of(worker->id), hello.process_id, hello.threads,
-               worker->plan.cache_limit_bytes, worker->plan.hot->bytes.size() / 4);
+               worker->plan.cache_limit_bytes, worker->plan.hot->hot_count);
   note(R"({{"event":"join","time":{:.6f},"worker":{},"pid":{}}})", seconds(now - begin_),
        index_of(worker->id), hello.process_id);
   welcome(*worker);

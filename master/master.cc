@@ -32,10 +32,16 @@ constexpr std::chrono::milliseconds kBetweenProgress{100};
 constexpr std::size_t kReceivedPerTurn = 256;
 constexpr std::size_t kQueuedPerWorkerMax = 1024;
 
-std::shared_ptr<const EncodedPlan> encode_plan(const std::vector<VoxelId>& hot) {
+std::shared_ptr<const EncodedPlan> encode_plan(const PreloadPlan& preload) {
+  std::vector<VoxelId> ids = preload.hot;
+  if (!preload.warm.empty()) {
+    ids.push_back(VoxelId{kPlanDivider});
+    ids.insert(ids.end(), preload.warm.begin(), preload.warm.end());
+  }
   auto plan = std::make_shared<EncodedPlan>();
-  plan->bytes.resize(hot.size() * sizeof(VoxelId));
-  if (!hot.empty()) { std::memcpy(plan->bytes.data(), hot.data(), plan->bytes.size()); }
+  plan->hot_count = preload.hot.size();
+  plan->bytes.resize(ids.size() * sizeof(VoxelId));
+  if (!ids.empty()) { std::memcpy(plan->bytes.data(), ids.data(), plan->bytes.size()); }
   plan->hash = content_hash(plan->bytes);
   return plan;
 }
@@ -51,7 +57,7 @@ class Planner {
     if (!limit) { return tl::unexpected(limit.error()); }
     auto [entry, is_new] = plans_.try_emplace(*limit);
     if (is_new) {
-      entry->second = encode_plan(plan_preload(store_.tables(), prediction_, *limit, share_).hot);
+      entry->second = encode_plan(plan_preload(store_.tables(), prediction_, *limit, share_));
     }
     return WorkerPlan{*limit, entry->second};
   }

@@ -16,8 +16,9 @@
 
 namespace preheat {
 
-// The hot voxels of one worker's cache size, as they travel: ids in order, u32 little-endian.
+// What a worker of one cache size is to hold, as it travels: see Welcome::plan_bytes.
 struct EncodedPlan {
+  std::size_t hot_count = 0;
   std::vector<std::byte> bytes{};
   Hash128 hash{};
 };

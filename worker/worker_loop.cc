@@ -143,7 +143,9 @@ class WorkerLoop {
                                              static_cast<void>(!::write(fd, &one, sizeof one));
                                            });
   }
-  void perform(SetHotVoxels& hot) { renderer_->set_hot_voxels(std::move(hot.voxels)); }
+  void perform(SetHotVoxels& hot) {
+    renderer_->set_hot_voxels(std::move(hot.voxels), std::move(hot.warm));
+  }
   void perform(DeliverVoxel& deliver) {
     const Result<void> taken = renderer_->deliver(deliver.voxel, std::move(deliver.bytes));
     if (!taken) { session_.on_voxel_malformed(deliver.voxel, taken.error().message); }

@@ -97,7 +97,7 @@ void WorkerSession::handle(const Welcome& welcome, const JobKey& job, Time now) 
 }
 
 void WorkerSession::begin_job(const Welcome& welcome, const JobKey& job) {
-  spdlog::info("event=welcome worker={} cache_bytes={} tables_bytes={} hot_voxels={}",
+  spdlog::info("event=welcome worker={} cache_bytes={} tables_bytes={} plan_voxels={}",
                index_of(welcome.worker), welcome.cache_limit_bytes, welcome.tables_bytes,
                welcome.plan_bytes / 4);
   phase_ = Phase::kPreparing;
@@ -252,13 +252,15 @@ void WorkerSession::take_tables(const FetchedObject& object) {
 void WorkerSession::take_plan(const FetchedObject& object) {
   SetHotVoxels hot;
   std::vector<bool> seen(voxels_.size());
+  std::vector<VoxelId>* part = &hot.voxels;
   for (std::size_t at = 0; at < object.bytes.size(); at += sizeof(std::uint32_t)) {
     std::uint32_t voxel = 0;
     std::memcpy(&voxel, object.bytes.data() + at, sizeof voxel);
+    if (voxel == kPlanDivider) { part = &hot.warm; }
     // A bad plan may cost time, nothing else.
     if (voxel >= voxels_.size() || seen[voxel]) { continue; }
     seen[voxel] = true;
-    hot.voxels.push_back(VoxelId{voxel});
+    part->push_back(VoxelId{voxel});
   }
   for (const VoxelId voxel : hot.voxels) { on_voxel_needed(voxel); }
   actions_.emplace_back(std::move(hot));

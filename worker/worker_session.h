@@ -37,6 +37,7 @@ struct StartRenderer {
 };
 struct SetHotVoxels {
   std::vector<VoxelId> voxels{};
+  std::vector<VoxelId> warm{};
 };
 struct DeliverVoxel {
   VoxelId voxel{};

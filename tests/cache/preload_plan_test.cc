@@ -98,6 +98,35 @@ TEST(PreloadPlan, LeavesRoomForEveryVoxelThatRaysAreExpectedToEnter) {
   EXPECT_EQ(hot_count(40 * cold_bytes), 40 * cold_bytes * 3 / 10 / tables.voxels[0].resident_bytes);
 }
 
+TEST(PreloadPlan, WarmsWhatTheRestHasRoomForByRaysPerByte) {
+  SceneTables tables;
+  Prediction prediction;
+  constexpr std::uint32_t kTriangles = 1000;
+  for (const double rays : {0.5, 3.0, 9.0, 0.0, 7.0, 5.0}) {
+    tables.voxels.emplace_back();
+    tables.voxels.back().triangle_count = kTriangles;
+    tables.voxels.back().block_bytes = 40 * kTriangles;
+    tables.voxels.back().resident_bytes = 140 * kTriangles;
+    prediction.rays_camera.push_back(rays);
+  }
+  prediction.rays_scatter.resize(6, 0.0);
+  prediction.rays_shadow.resize(6, 0.0);
+  const std::uint64_t cold_bytes = 40 * kTriangles + VoxelMesh::bytes_max(kTriangles);
+  const std::uint64_t hot_bytes = tables.voxels[0].resident_bytes;
+  const auto plan = [&](std::uint64_t limit, double share) {
+    return plan_preload(tables, prediction, limit, share);
+  };
+
+  // Everything that rays are expected to enter fits, one voxel of it hot; half a ray is none.
+  const PreloadPlan all = plan(hot_bytes + 4 * cold_bytes, kAuto);
+  EXPECT_THAT(all.hot, ElementsAre(VoxelId{2}));
+  EXPECT_THAT(all.warm, ElementsAre(VoxelId{4}, VoxelId{5}, VoxelId{1}));
+  // Three tenths are too few for a hot one.
+  EXPECT_THAT(plan(2 * cold_bytes, kAuto).warm, ElementsAre(VoxelId{2}, VoxelId{4}));
+  EXPECT_THAT(plan(2 * cold_bytes - 1, kAuto).warm, ElementsAre(VoxelId{2}));
+  EXPECT_THAT(plan(hot_bytes + 4 * cold_bytes, 0.5).warm, IsEmpty());
+}
+
 TEST(PreloadPlan, LeavesRoomForTheLargestVoxelThatIsNotHot) {
   const std::vector<Voxel> voxels{{50.0, 50}, {9.0, 10}, {8.0, 10}, {1.0, 20}};
 

@@ -54,7 +54,8 @@ struct Outcome {
 
 // Plays the worker's event loop: every voxel that is asked for is delivered at once.
 Outcome render(const GridStore& store, const RenderSettings& settings,
-               const RendererOptions& options, const std::vector<VoxelId>& hot) {
+               const RendererOptions& options, const std::vector<VoxelId>& hot,
+               const std::vector<VoxelId>& warm = {}) {
   std::mutex mutex;
   std::condition_variable woken;
   bool pending = false;
@@ -67,7 +68,7 @@ Outcome render(const GridStore& store, const RenderSettings& settings,
     const auto& block = store.blocks[index_of(voxel)];
     ASSERT_TRUE(renderer.deliver(voxel, {block->bytes(), block}).has_value());
   };
-  renderer.set_hot_voxels(hot);
+  renderer.set_hot_voxels(hot, warm);
   for (const VoxelId voxel : hot) { deliver(voxel); }
   const TileGrid grid{settings.width, settings.height, options.tile_size};
   for (std::uint32_t tile = 0; tile < grid.count(); ++tile) { renderer.add_tile(TileId{tile}); }
@@ -116,6 +117,19 @@ class RendererTest : public testing::Test {
   }
   GridStore store_;
 };
+
+TEST_F(RendererTest, AsksForWarmVoxelsUnaskedAndCountsThemAsPreload) {
+  const RenderSettings settings = small_settings();
+  const std::vector<VoxelId> all = every_voxel(store_, 1);
+  const Outcome cold = render(store_, settings, options(1.0), {});
+  const Outcome warm = render(store_, settings, options(1.0), {}, all);
+
+  EXPECT_GT(cold.stats.cache.remote_fetches, 0U);
+  EXPECT_LE(warm.stats.preload.voxels + warm.stats.cache.remote_fetches, all.size());
+  EXPECT_GT(warm.stats.preload.voxels, 0U);
+  EXPECT_GT(warm.stats.preload.bytes, 0U);
+  EXPECT_EQ(warm.sha256, cold.sha256);
+}
 
 TEST_F(RendererTest, PixelsAreTheSameWhateverIsResident) {
   const RenderSettings settings = small_settings();

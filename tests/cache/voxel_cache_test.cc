@@ -107,6 +107,65 @@ TEST(VoxelCache, NeverEvictsABuiltVoxelThatHasRaysToServe) {
   EXPECT_EQ(cache.step(), (std::vector<Command>{{Action::kWithdraw, VoxelId{0}}}));
 }
 
+void arrive_and_build(VoxelCache& cache, VoxelId voxel) {
+  ASSERT_TRUE(cache.block_arrived(voxel));
+  const std::vector<Command> commands = cache.step();
+  ASSERT_EQ(commands.front(), (Command{Action::kBuild, voxel}));
+  cache.built(voxel, 100);
+}
+
+TEST(VoxelCache, PrefetchesInOrderAsFarAsThereIsRoom) {
+  VoxelCache cache = make_cache(make_voxels(4), 300);
+
+  cache.prefetch(std::vector<VoxelId>{VoxelId{2}, VoxelId{0}, VoxelId{1}});
+  EXPECT_EQ(cache.step(),
+            (std::vector<Command>{{Action::kFetch, VoxelId{2}}, {Action::kFetch, VoxelId{0}}}));
+  arrive_and_build(cache, VoxelId{2});
+  arrive_and_build(cache, VoxelId{0});
+
+  EXPECT_TRUE(cache.step().empty());
+  EXPECT_TRUE(cache.is_built(VoxelId{2}));
+  EXPECT_EQ(cache.counts().prefetches, 2U);
+  EXPECT_EQ(cache.counts().prefetched_bytes, 80U);
+  EXPECT_EQ(cache.counts().fetches, 0U);
+}
+
+TEST(VoxelCache, FetchesWhatRaysWaitForBeforeItPrefetches) {
+  VoxelCache cache = make_cache(make_voxels(3), 300);
+
+  cache.prefetch(std::vector<VoxelId>{VoxelId{0}, VoxelId{1}});
+  cache.add_waiting(VoxelId{2}, 1);
+
+  EXPECT_EQ(cache.step(),
+            (std::vector<Command>{{Action::kFetch, VoxelId{2}}, {Action::kFetch, VoxelId{0}}}));
+}
+
+TEST(VoxelCache, GivesUpWhatWasPrefetchedForWhatRaysWaitFor) {
+  VoxelCache cache = make_cache(make_voxels(2), 140);
+  cache.prefetch(std::vector<VoxelId>{VoxelId{0}});
+  ASSERT_EQ(cache.step().size(), 1U);
+  arrive_and_build(cache, VoxelId{0});
+
+  cache.add_waiting(VoxelId{1}, 1);
+
+  EXPECT_EQ(cache.step(), (std::vector<Command>{{Action::kWithdraw, VoxelId{0}}}));
+}
+
+TEST(VoxelCache, ServesRaysThatBeginToWaitForWhatIsBeingPrefetched) {
+  VoxelCache cache = make_cache(make_voxels(2), 140);
+  cache.prefetch(std::vector<VoxelId>{VoxelId{0}});
+  ASSERT_EQ(cache.step().size(), 1U);
+
+  cache.add_waiting(VoxelId{0}, 3);
+  EXPECT_TRUE(cache.step().empty()) << "asked for twice";
+  arrive_and_build(cache, VoxelId{0});
+  cache.add_waiting(VoxelId{1}, 1);
+  EXPECT_TRUE(cache.step().empty()) << "evicted before it served";
+  cache.served(VoxelId{0}, 3);
+
+  EXPECT_EQ(cache.step(), (std::vector<Command>{{Action::kWithdraw, VoxelId{0}}}));
+}
+
 TEST(VoxelCache, DropsBytesThatNobodyAskedFor) {
   const auto voxels = make_voxels(1);
   VoxelCache cache = make_cache(voxels, 140);

@@ -151,12 +151,21 @@ class Cluster {
     std::vector<std::byte> data{};
   };
 
+  [[nodiscard]] std::size_t hot_count() const { return scene_.store.blocks.size() / 2; }
+
   WorkerPlan plan() const {
     auto hot = std::make_shared<EncodedPlan>();
-    for (std::uint32_t voxel = 0; voxel < scene_.store.blocks.size() / 2; ++voxel) {
+    const auto add = [&](std::uint32_t id) {
       for (unsigned byte = 0; byte < 4; ++byte) {
-        hot->bytes.push_back(static_cast<std::byte>(voxel >> (8 * byte)));
+        hot->bytes.push_back(static_cast<std::byte>(id >> (8 * byte)));
       }
+    };
+    for (; hot->hot_count < hot_count(); ++hot->hot_count) {
+      add(static_cast<std::uint32_t>(hot->hot_count));
+    }
+    add(kPlanDivider);
+    for (std::size_t voxel = hot_count(); voxel < 2 * hot_count(); ++voxel) {
+      add(static_cast<std::uint32_t>(voxel));
     }
     hot->hash = content_hash(hot->bytes);
     return {scene_.store.tables.resident_bytes(), hot};
@@ -305,6 +314,9 @@ class Cluster {
     EXPECT_TRUE(worker.started);
     worker.hot_set = true;
     worker.hot_missing.insert(hot.voxels.begin(), hot.voxels.end());
+    EXPECT_EQ(hot.voxels.size(), hot_count());
+    EXPECT_EQ(hot.warm.size(), hot_count());
+    for (const VoxelId voxel : hot.warm) { EXPECT_GE(index_of(voxel), hot_count()); }
   }
   void perform(SimWorker& worker, const DeliverVoxel& deliver) {
     const auto& expected = scene_.store.blocks[index_of(deliver.voxel)]->bytes();
