@@ -37,7 +37,7 @@ struct RendererOptions {
   AccessCounting count_accesses = AccessCounting::kSampled;
   // Accesses are counted in this tree's cells; nullptr: in the voxels.
   std::shared_ptr<const CountingTree> counting_tree{};
-  std::size_t paths_per_thread = kPathsPerThread;
+  std::uint32_t paths_per_thread = kPathsPerThread;
 };
 
 // The bytes of one voxel, 16-byte aligned, already checked against its hash. For `--local` they

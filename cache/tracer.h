@@ -92,6 +92,9 @@ class Tracer {
     return accesses_by_cell_;
   }
 
+  // Of each path in flight.
+  [[nodiscard]] static std::size_t bytes_per_path() { return sizeof(Path); }
+
   // One ray in this many is counted by AccessCounting::kSampled.
   static constexpr std::uint32_t kAccessSampling = 64;
   // What an access that was counted stands for.

@@ -99,8 +99,9 @@ void serialize(Archive& archive, Hello& hello) {
 template <class Archive>
 void serialize(Archive& archive, Welcome& welcome) {
   archive(id(welcome.worker), welcome.bulk_port, welcome.settings, welcome.tile_size,
-          enum_up_to(welcome.count_accesses, AccessCounting::kExact), welcome.cache_limit_bytes,
-          welcome.tables_bytes, welcome.tables_hash, welcome.plan_bytes, welcome.plan_hash);
+          enum_up_to(welcome.count_accesses, AccessCounting::kExact), welcome.paths_per_thread,
+          welcome.cache_limit_bytes, welcome.tables_bytes, welcome.tables_hash, welcome.plan_bytes,
+          welcome.plan_hash);
 }
 
 template <class Archive>
@@ -213,7 +214,9 @@ bool valid(const Welcome& welcome) {
   const TileGrid grid{welcome.settings.width, welcome.settings.height, welcome.tile_size};
   return std::uint64_t{grid.columns()} * grid.rows() <= kTilesMax && welcome.bulk_port >= 1 &&
          welcome.bulk_port <= 65535 && welcome.tables_bytes <= kTablesBytesMax &&
-         welcome.plan_bytes <= kVoxelCountMax * 4 && welcome.plan_bytes % 4 == 0;
+         welcome.paths_per_thread >= kPathsPerThreadMin &&
+         welcome.paths_per_thread <= kPathsPerThreadMax &&
+         welcome.plan_bytes <= (kVoxelCountMax + 1) * 4 && welcome.plan_bytes % 4 == 0;
 }
 
 bool valid(const Refuse& refuse) { return printable(refuse.text.text); }

@@ -23,7 +23,7 @@
 
 namespace preheat {
 
-inline constexpr std::uint16_t kProtocolVersion = 2;
+inline constexpr std::uint16_t kProtocolVersion = 3;
 inline constexpr std::size_t kControlFrameBytesMax = 64 * 1024;
 inline constexpr std::size_t kChunkBytesMax = 256 * 1024;
 inline constexpr std::uint64_t kTablesBytesMax = std::uint64_t{2} << 30;
@@ -68,6 +68,7 @@ struct Welcome {
   RenderSettings settings{};
   std::uint32_t tile_size = 0;
   AccessCounting count_accesses = AccessCounting::kNone;
+  std::uint32_t paths_per_thread = kPathsPerThread;
   std::uint64_t cache_limit_bytes = 0;
   std::uint64_t tables_bytes = 0;  // SceneTables, encoded
   Hash128 tables_hash{};

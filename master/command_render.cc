@@ -12,6 +12,7 @@
 
 #include "cache/prediction.h"
 #include "cache/renderer.h"
+#include "cache/tracer.h"
 #include "common/content_hash.h"
 #include "master/commands.h"
 #include "master/file_output.h"
@@ -47,6 +48,7 @@ struct RenderOptions {
   std::optional<unsigned> threads{};  // default: 1 per worker, all cores with --local
   std::uint32_t tile_size = 32;
   AccessCounting count_accesses = AccessCounting::kSampled;
+  std::uint32_t paths_per_thread = kPathsPerThread;
 };
 
 const char* name_of(AccessCounting counting) {
@@ -93,6 +95,7 @@ MasterOptions master_options(const RenderOptions& options) {
   master.preload_share = options.preload_share;
   master.tile_size = options.tile_size;
   master.count_accesses = options.count_accesses;
+  master.paths_per_thread = options.paths_per_thread;
   master.worker_program = worker_program();
   master.security = options.security;
   if (!options.security.keys_folder.empty()) { master.reload_keys = &catch_reload_signal(); }
@@ -109,6 +112,8 @@ nlohmann::ordered_json settings_of(const RenderOptions& options) {
       {"threads", threads_of(options)},
       {"tile_size", options.tile_size},
       {"count_accesses", name_of(options.count_accesses)},
+      {"paths_in_flight", options.paths_per_thread},
+      {"paths_bytes_per_thread", options.paths_per_thread * Tracer::bytes_per_path()},
       {"exposure_ev", options.exposure_ev},
       {"isa", tracing_isa()}};
   if (!options.local) {
@@ -175,7 +180,8 @@ Result<MasterResult> render_image(const RenderOptions& options, const Store& sto
   Result<MasterResult> result =
       options.local
           ? render_local(store, settings,
-                         {threads_of(options), options.tile_size, options.count_accesses},
+                         {threads_of(options), options.tile_size, options.count_accesses,
+                          options.paths_per_thread},
                          stop_signal, print)
           : run_master(store, settings, prediction, master_options(options), stop_signal, print);
   printer.finish();
@@ -316,6 +322,13 @@ void add_render_command(CLI::App& app, Command& chosen) {
   command->add_option("--tile-size", options->tile_size, "Side of a tile in pixels")
       ->type_name("N")
       ->check(in_range(1U, kTileSizeMax))
+      ->capture_default_str();
+  command
+      ->add_option("--paths-in-flight", options->paths_per_thread,
+                   "Paths that each tracing thread keeps going, of some 420 bytes each: the more, "
+                   "the more rays a fetched voxel serves")
+      ->type_name("N")
+      ->check(in_range(kPathsPerThreadMin, kPathsPerThreadMax))
       ->capture_default_str();
   add_view_options(*command, options->view);
   add_worker_options(*command, *options);

@@ -180,6 +180,7 @@ void Job::welcome(const Worker& worker) {
   welcome.settings = options_.settings;
   welcome.tile_size = options_.tile_size;
   welcome.count_accesses = options_.count_accesses;
+  welcome.paths_per_thread = options_.paths_per_thread;
   welcome.cache_limit_bytes = worker.plan.cache_limit_bytes;
   welcome.tables_bytes = scene_.tables.size();
   welcome.tables_hash = scene_.tables_hash;
@@ -398,7 +399,7 @@ std::size_t Job::leases_wanted(const Worker& worker) const {
   const std::size_t least = 2 * worker.threads + 1;
   const std::uint64_t samples_per_tile =
       std::uint64_t{options_.tile_size} * options_.tile_size * options_.settings.spp;
-  const std::uint64_t deep = least + 2 * worker.threads * kPathsPerThread / samples_per_tile;
+  const std::uint64_t deep = least + 2 * worker.threads * options_.paths_per_thread / samples_per_tile;
   const auto ready = std::count_if(workers_.begin(), workers_.end(), [](const auto& other) {
     return other->presence == Presence::kReady;
   });

@@ -48,6 +48,7 @@ struct JobOptions {
   RenderSettings settings{};
   std::uint32_t tile_size = 32;
   AccessCounting count_accesses = AccessCounting::kSampled;
+  std::uint32_t paths_per_thread = kPathsPerThread;
   CacheSize cache{};  // of workers that do not bring their own
   std::uint16_t bulk_port = 0;
   unsigned wait_workers = 1;

@@ -31,8 +31,11 @@ class LocalRender {
         progress_(progress),
         film_(settings.width, settings.height),
         renderer_(store.tables(), settings,
-                  RendererOptions{options.threads, store.tables().resident_bytes(),
-                                  options.tile_size, options.count_accesses},
+                  RendererOptions{.threads = options.threads,
+                                  .cache_limit_bytes = store.tables().resident_bytes(),
+                                  .tile_size = options.tile_size,
+                                  .count_accesses = options.count_accesses,
+                                  .paths_per_thread = options.paths_per_thread},
                   [this] { doorbell_.ring(); }) {}
 
   Result<MasterResult> run(const std::atomic<int>& stop_signal) {

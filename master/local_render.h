@@ -5,6 +5,7 @@
 #include <atomic>
 #include <functional>
 
+#include "common/limits.h"
 #include "common/render_settings.h"
 #include "common/result.h"
 #include "common/store.h"
@@ -16,6 +17,7 @@ struct LocalOptions {
   unsigned threads = 1;
   std::uint32_t tile_size = 32;
   AccessCounting count_accesses = AccessCounting::kSampled;
+  std::uint32_t paths_per_thread = kPathsPerThread;  // in flight
 };
 
 // As run_master; the one worker of the result is this process.

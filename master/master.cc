@@ -307,6 +307,7 @@ JobOptions job_options(const MasterOptions& options, const RenderSettings& setti
   job.settings = settings;
   job.tile_size = options.tile_size;
   job.count_accesses = options.count_accesses;
+  job.paths_per_thread = options.paths_per_thread;
   job.cache = options.cache;
   job.bulk_port = parse_endpoint(channels.bulk->endpoint())->port;
   job.wait_workers = options.wait_workers;

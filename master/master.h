@@ -12,6 +12,7 @@
 
 #include "cache/prediction.h"
 #include "common/film.h"
+#include "common/limits.h"
 #include "common/render_settings.h"
 #include "common/result.h"
 #include "common/secure_transport.h"
@@ -39,6 +40,7 @@ struct MasterOptions {
   double preload_share = -1.0;  // negative = auto
   std::uint32_t tile_size = 32;
   AccessCounting count_accesses = AccessCounting::kSampled;
+  std::uint32_t paths_per_thread = kPathsPerThread;  // in flight
   std::string worker_program{};  // path of preheat-worker
   SecurityOptions security{};
   // Set from outside (SIGHUP): the allow-list is read again. nullptr = never.

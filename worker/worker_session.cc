@@ -241,6 +241,7 @@ void WorkerSession::take_tables(const FetchedObject& object) {
   options.cache_limit_bytes = welcome_.cache_limit_bytes;
   options.tile_size = welcome_.tile_size;
   options.count_accesses = welcome_.count_accesses;
+  options.paths_per_thread = welcome_.paths_per_thread;
   actions_.emplace_back(StartRenderer{std::move(*tables), welcome_.settings, options});
   if (welcome_.plan_bytes == 0) {
     actions_.emplace_back(SetHotVoxels{});

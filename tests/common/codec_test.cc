@@ -31,6 +31,7 @@ Welcome some_welcome() {
   welcome.settings.seed = 11;
   welcome.tile_size = 32;
   welcome.count_accesses = AccessCounting::kExact;
+  welcome.paths_per_thread = 4096;
   welcome.tables_bytes = 12345;
   welcome.tables_hash = {1, 2};
   welcome.plan_bytes = 400;
@@ -105,6 +106,7 @@ TEST(Codec, ValuesArriveInTheirOwnFields) {
   EXPECT_EQ(welcome.settings.height, 480U);
   EXPECT_EQ(welcome.tables_hash, (Hash128{1, 2}));
   EXPECT_EQ(welcome.count_accesses, AccessCounting::kExact);
+  EXPECT_EQ(welcome.paths_per_thread, 4096U);
 }
 
 TEST(Codec, RefusesEveryTruncationAndEveryChangedByte) {
@@ -160,6 +162,11 @@ TEST(Codec, RefusesValuesOutOfRange) {
   welcome = some_welcome();
   welcome.count_accesses = static_cast<AccessCounting>(3);
   bad.emplace_back(welcome);
+  for (const std::uint32_t paths : {0U, kPathsPerThreadMin - 1, kPathsPerThreadMax + 1}) {
+    welcome = some_welcome();
+    welcome.paths_per_thread = paths;
+    bad.emplace_back(welcome);
+  }
   Hello hello;
   hello.threads = 0;
   bad.emplace_back(hello);
