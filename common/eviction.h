@@ -1,0 +1,19 @@
+// Which voxel a worker's cache gives up first; see cache/eviction_policy.h.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <string_view>
+
+namespace preheat {
+
+enum class Eviction : std::uint8_t { kLru = 0, kLfu = 1, kPrior = 2, kS3Fifo = 3 };
+
+// As options name them, by the value of the enum.
+inline constexpr std::array<std::string_view, 4> kEvictionNames{"lru", "lfu", "prior", "s3-fifo"};
+
+[[nodiscard]] constexpr std::string_view name_of(Eviction eviction) {
+  return kEvictionNames[static_cast<std::size_t>(eviction)];
+}
+
+}  // namespace preheat
