@@ -8,82 +8,69 @@
 #include "common/check.h"
 
 namespace preheat {
-namespace {
+ReplayedCache::ReplayedCache(const std::vector<VoxelCache::Size>& voxels,
+                             const std::vector<bool>& is_hot, std::uint64_t limit_bytes,
+                             std::unique_ptr<EvictionPolicy> policy)
+    : voxels_(voxels),
+      is_hot_(is_hot),
+      cache_(voxels, limit_bytes, std::move(policy)),
+      waiting_(voxels.size()) {}
 
-class Replay {
- public:
-  Replay(const std::vector<VoxelCache::Size>& voxels, const std::vector<bool>& is_hot,
-         std::uint64_t limit_bytes, std::unique_ptr<EvictionPolicy> policy)
-      : voxels_(voxels),
-        is_hot_(is_hot),
-        cache_(voxels, limit_bytes, std::move(policy)),
-        waiting_(voxels.size()) {}
-
-  void run(const std::vector<TraceAccess>& step) {
-    cache_.begin_period();
-    for (const TraceAccess& access : step) {
-      result_.accesses += access.rays;
-      if (is_hot_[index_of(access.voxel)]) {
-        result_.hits += access.rays;
-      } else if (cache_.is_built(access.voxel)) {
-        result_.hits += access.rays;
-        cache_.used(access.voxel, access.rays);
-      } else {
-        cache_.add_waiting(access.voxel, access.rays);
-        waiting_[index_of(access.voxel)] = access.rays;
-        ++waiting_count_;
-      }
-    }
-    while (waiting_count_ > 0) {
-      const std::vector<VoxelCache::Command> commands = cache_.step();
-      CHECK(!commands.empty());
-      for (const VoxelCache::Command& command : commands) { carry_out(command); }
+void ReplayedCache::visit(std::span<const TraceAccess> step) {
+  fetched_.clear();
+  built_.clear();
+  cache_.begin_period();
+  for (const TraceAccess& access : step) {
+    accesses_ += access.rays;
+    if (is_hot_[index_of(access.voxel)]) {
+      hits_ += access.rays;
+    } else if (cache_.is_built(access.voxel)) {
+      hits_ += access.rays;
+      cache_.used(access.voxel, access.rays);
+    } else {
+      cache_.add_waiting(access.voxel, access.rays);
+      waiting_[index_of(access.voxel)] = access.rays;
+      ++waiting_count_;
     }
   }
-
-  [[nodiscard]] ReplayResult result() {
-    result_.counts = cache_.counts();
-    return result_;
+  while (waiting_count_ > 0) {
+    const std::vector<VoxelCache::Command> commands = cache_.step();
+    CHECK(!commands.empty());
+    for (const VoxelCache::Command& command : commands) { carry_out(command); }
   }
+}
 
- private:
-  void carry_out(const VoxelCache::Command& command) {
-    switch (command.action) {
-      case VoxelCache::Action::kFetch:
-        CHECK(cache_.block_arrived(command.voxel));
-        break;
-      case VoxelCache::Action::kBuild: {
-        cache_.built(command.voxel, voxels_[index_of(command.voxel)].bvh_bytes_max);
-        const std::uint64_t rays = std::exchange(waiting_[index_of(command.voxel)], 0U);
-        cache_.served(command.voxel, rays);
-        cache_.used(command.voxel, rays);
-        --waiting_count_;
-        break;
-      }
-      case VoxelCache::Action::kWithdraw:
-        cache_.withdrawn(command.voxel);
-        break;
-      case VoxelCache::Action::kDropBlock:
-        break;
+void ReplayedCache::carry_out(const VoxelCache::Command& command) {
+  switch (command.action) {
+    case VoxelCache::Action::kFetch:
+      fetched_.push_back(command.voxel);
+      CHECK(cache_.block_arrived(command.voxel));
+      break;
+    case VoxelCache::Action::kBuild: {
+      built_.push_back(command.voxel);
+      cache_.built(command.voxel, voxels_[index_of(command.voxel)].bvh_bytes_max);
+      const std::uint64_t rays = std::exchange(waiting_[index_of(command.voxel)], 0U);
+      cache_.served(command.voxel, rays);
+      cache_.used(command.voxel, rays);
+      --waiting_count_;
+      break;
     }
+    case VoxelCache::Action::kWithdraw:
+      cache_.withdrawn(command.voxel);
+      break;
+    case VoxelCache::Action::kDropBlock:
+      break;
   }
+}
 
-  const std::vector<VoxelCache::Size>& voxels_;
-  const std::vector<bool>& is_hot_;
-  VoxelCache cache_;
-  std::vector<std::uint64_t> waiting_;
-  std::size_t waiting_count_ = 0;
-  ReplayResult result_{};
-};
-
-}  // namespace
+ReplayResult ReplayedCache::result() const { return {accesses_, hits_, cache_.counts()}; }
 
 ReplayResult replay(const ReplaySteps& steps, const std::vector<VoxelCache::Size>& voxels,
                     const std::vector<bool>& is_hot, std::uint64_t limit_bytes,
                     std::unique_ptr<EvictionPolicy> policy) {
-  Replay replay(voxels, is_hot, limit_bytes, std::move(policy));
-  for (const std::vector<TraceAccess>& step : steps) { replay.run(step); }
-  return replay.result();
+  ReplayedCache cache(voxels, is_hot, limit_bytes, std::move(policy));
+  for (const std::vector<TraceAccess>& step : steps) { cache.visit(step); }
+  return cache.result();
 }
 
 std::vector<std::vector<std::uint32_t>> steps_of_use(const ReplaySteps& steps,

@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <span>
 #include <vector>
 
 #include "cache/eviction_policy.h"
@@ -25,8 +26,38 @@ struct ReplayResult {
   }
 };
 
-// Rays of a step use what is built, then wait for the rest, which come by the order of the cache.
-// Voxels of `is_hot` take no part; `limit_bytes` is what the others share. A step is a period.
+// A worker's cache, visited step by step; what it asks for is there at once.
+class ReplayedCache {
+ public:
+  // Voxels of `is_hot` take no part; `limit_bytes` is what the others share. The first two
+  // arguments outlive this.
+  ReplayedCache(const std::vector<VoxelCache::Size>& voxels, const std::vector<bool>& is_hot,
+                std::uint64_t limit_bytes, std::unique_ptr<EvictionPolicy> policy);
+
+  // Rays use what is built, then wait for the rest, which come by the order of the cache. A step is
+  // a period.
+  void visit(std::span<const TraceAccess> step);
+
+  // Of the last step, in order.
+  [[nodiscard]] const std::vector<VoxelId>& fetched() const { return fetched_; }
+  [[nodiscard]] const std::vector<VoxelId>& built() const { return built_; }
+
+  [[nodiscard]] ReplayResult result() const;
+
+ private:
+  void carry_out(const VoxelCache::Command& command);
+
+  const std::vector<VoxelCache::Size>& voxels_;
+  const std::vector<bool>& is_hot_;
+  VoxelCache cache_;
+  std::vector<std::uint64_t> waiting_;  // rays, [voxel_count]
+  std::size_t waiting_count_ = 0;       // voxels with such
+  std::vector<VoxelId> fetched_;
+  std::vector<VoxelId> built_;
+  std::uint64_t accesses_ = 0;
+  std::uint64_t hits_ = 0;
+};
+
 [[nodiscard]] ReplayResult replay(const ReplaySteps& steps,
                                   const std::vector<VoxelCache::Size>& voxels,
                                   const std::vector<bool>& is_hot, std::uint64_t limit_bytes,

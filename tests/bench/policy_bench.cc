@@ -5,112 +5,57 @@
 #include <spdlog/spdlog.h>
 
 #include <CLI/CLI.hpp>
-#include <algorithm>
 #include <array>
 #include <cstdio>
-#include <filesystem>
-#include <fstream>
+#include <memory>
 #include <nlohmann/json.hpp>
-#include <thread>
 
-#include "cache/preload_plan.h"
-#include "cache/tracing.h"
 #include "common/check.h"
-#include "master/view.h"
 #include "tests/bench/belady_policy.h"
+#include "tests/bench/bench_scene.h"
 #include "tests/bench/cache_replay.h"
 #include "tests/bench/real_cache_render.h"
 
 namespace preheat {
 namespace {
 
-constexpr std::uint32_t kTileSize = 32;
 constexpr std::array kShares{1.0, 0.5, 0.29, 0.25, 0.12, 0.06, 0.03, 0.016, 0.008, 0.004};
 constexpr std::array kPolicies{Eviction::kLru, Eviction::kLfu, Eviction::kPrior, Eviction::kS3Fifo};
 
 struct Options {
-  std::string store{};
-  ViewOptions view{};
+  BenchSceneOptions scene{};
   unsigned workers = 1;
   std::vector<double> shares{kShares.begin(), kShares.end()};
-  std::string trace{};
   std::string json{};
   bool renders = false;
 };
 
-// A store, a view of it and what is predicted of that.
-struct Bench {
-  Store store;
-  RenderSettings settings{};
-  Prediction prediction{};
-  std::vector<VoxelCache::Size> sizes{};
-  std::vector<double> rays_expected{};
-
-  [[nodiscard]] std::uint64_t limit_bytes(double share) const {
-    const auto bytes = static_cast<double>(store.tables().resident_bytes()) * share;
-    return std::max(store.tables().resident_bytes_min(), static_cast<std::uint64_t>(bytes));
-  }
-};
-
-Bench open_bench(const Options& options) {
-  Store store = Store::open(options.store).value();
-  const auto view = resolve_view(store.tables(), store.cameras(), options.view);
-  const unsigned threads = std::max(1U, std::thread::hardware_concurrency());
-  Bench bench{std::move(store), view.value().settings};
-  const SceneTables& tables = bench.store.tables();
-  bench.prediction =
-      predict("transport", {tables, bench.store.proxy(), bench.settings, threads}).value();
-  for (std::size_t voxel = 0; voxel < tables.voxels.size(); ++voxel) {
-    const VoxelEntry& entry = tables.voxels[voxel];
-    bench.sizes.push_back({entry.block_bytes, VoxelMesh::bytes_max(entry.triangle_count)});
-    bench.rays_expected.push_back(bench.prediction.rays(voxel));
-  }
-  return bench;
-}
-
-AccessTrace trace_of(const Options& options, const Bench& bench) {
-  if (!options.trace.empty() && std::filesystem::exists(options.trace)) {
-    return AccessTrace::load(options.trace).value();
-  }
-  AccessTrace trace = record_accesses(bench.store, bench.settings, kTileSize).value();
-  if (!options.trace.empty()) { CHECK(trace.save(options.trace).has_value()); }
-  return trace;
-}
-
 class TraceTable {
  public:
-  TraceTable(const Bench& bench, const ReplaySteps& steps, unsigned workers)
-      : bench_(bench),
+  TraceTable(const BenchScene& scene, const ReplaySteps& steps, unsigned workers)
+      : scene_(scene),
         steps_(steps),
         chance_expected_(
-            chance_per_period(bench.rays_expected, static_cast<double>(steps.size()) * workers)) {}
+            chance_per_period(scene.rays_expected, static_cast<double>(steps.size()) * workers)) {}
 
   nlohmann::ordered_json row(double share, bool preload) {
-    const std::uint64_t limit = bench_.limit_bytes(share);
-    std::vector<bool> is_hot(bench_.sizes.size());
-    PreloadPlan plan;
-    if (preload) {
-      plan = plan_preload(bench_.store.tables(), bench_.prediction, limit, -1.0);
-      for (const VoxelId voxel : plan.hot) { is_hot[index_of(voxel)] = true; }
-    }
+    const std::uint64_t limit = scene_.limit_bytes(share);
+    const PreloadPlan plan = preload ? scene_.plan(limit) : PreloadPlan{};
+    const std::vector<bool> is_hot = scene_.is_hot(plan);
     const std::uint64_t left = limit - plan.hot_bytes;
-    const std::uint64_t bound = fetched_bytes_bound(steps_, bench_.sizes, is_hot, left);
+    const std::uint64_t bound = fetched_bytes_bound(steps_, scene_.sizes, is_hot, left);
     const auto belady =
-        replay(steps_, bench_.sizes, is_hot, left,
-               std::make_unique<BeladyPolicy>(steps_of_use(steps_, bench_.sizes.size())));
+        replay(steps_, scene_.sizes, is_hot, left,
+               std::make_unique<BeladyPolicy>(steps_of_use(steps_, scene_.sizes.size())));
     nlohmann::ordered_json row = {{"cache", share},
                                   {"limit_bytes", limit},
                                   {"hot_bytes", plan.hot_bytes},
                                   {"bound_bytes", bound}};
     add(row, "belady", belady, belady);
     for (const Eviction eviction : kPolicies) {
-      EvictionInput input{{}, chance_expected_};
-      for (const VoxelCache::Size& voxel : bench_.sizes) {
-        input.bytes.push_back(voxel.block_bytes);
-      }
       add(row, std::string(name_of(eviction)),
-          replay(steps_, bench_.sizes, is_hot, left,
-                 make_eviction_policy(eviction, std::move(input))),
+          replay(steps_, scene_.sizes, is_hot, left,
+                 make_eviction_policy(eviction, {scene_.block_bytes, chance_expected_})),
           belady);
     }
     return row;
@@ -128,7 +73,7 @@ class TraceTable {
                  {"over_belady", fewest > 0.0 ? bytes / fewest : 1.0}};
   }
 
-  const Bench& bench_;
+  const BenchScene& scene_;
   const ReplaySteps& steps_;
   std::vector<double> chance_expected_;
 };
@@ -146,15 +91,15 @@ void print_row(const nlohmann::ordered_json& row, bool preload) {
   std::fflush(stdout);
 }
 
-nlohmann::ordered_json trace_tables(const Options& options, const Bench& bench) {
-  const AccessTrace trace = trace_of(options, bench);
+nlohmann::ordered_json trace_tables(const Options& options, const BenchScene& scene,
+                                    const AccessTrace& trace) {
   const ReplaySteps steps = wave_steps(trace, kPathsPerThread, options.workers);
   fmt::print("trace: {} steps, {:.1f} MB\n", steps.size(),
              static_cast<double>(trace.bytes()) / 1e6);
   fmt::print("cache   preload bound MB | hit rate, fetches, MB, over Belady's: belady");
   for (const Eviction eviction : kPolicies) { fmt::print(" | {}", name_of(eviction)); }
   fmt::print("\n");
-  TraceTable table(bench, steps, options.workers);
+  TraceTable table(scene, steps, options.workers);
   nlohmann::ordered_json rows = nlohmann::ordered_json::array();
   for (const bool preload : {false, true}) {
     for (const double share : options.shares) {
@@ -167,24 +112,20 @@ nlohmann::ordered_json trace_tables(const Options& options, const Bench& bench) 
 }
 
 // The policies take turns, so that other load on the machine meets all of them.
-nlohmann::ordered_json real_renders(const Options& options, const Bench& bench) {
+nlohmann::ordered_json real_renders(const Options& options, const BenchScene& scene) {
   nlohmann::ordered_json rows = nlohmann::ordered_json::array();
   std::string sha256;
   for (const double share : options.shares) {
     for (const bool preload : {false, true}) {
       RendererOptions renderer;
-      renderer.cache_limit_bytes = bench.limit_bytes(share);
+      renderer.cache_limit_bytes = scene.limit_bytes(share);
       renderer.count_accesses = AccessCounting::kSampled;
-      renderer.rays_expected = bench.rays_expected;
-      PreloadPlan plan;
-      if (preload) {
-        plan =
-            plan_preload(bench.store.tables(), bench.prediction, renderer.cache_limit_bytes, -1.0);
-      }
+      renderer.rays_expected = scene.rays_expected;
+      const PreloadPlan plan = preload ? scene.plan(renderer.cache_limit_bytes) : PreloadPlan{};
       for (const Eviction eviction : kPolicies) {
         renderer.eviction = eviction;
         const RealCacheRender result =
-            render_with_cache(bench.store, bench.settings, renderer, plan.hot).value();
+            render_with_cache(scene.store, scene.settings, renderer, plan.hot).value();
         if (sha256.empty()) { sha256 = result.pixels_sha256; }
         CHECK(result.pixels_sha256 == sha256);
         rows.push_back({{"cache", share},
@@ -206,23 +147,18 @@ nlohmann::ordered_json real_renders(const Options& options, const Bench& bench) 
   return rows;
 }
 
-int run(const Options& options) {
-  const Bench bench = open_bench(options);
-  nlohmann::ordered_json report = {{"store", options.store}, {"spp", bench.settings.spp}};
+Result<void> run(const Options& options) {
+  const Result<BenchScene> scene = open_bench_scene(options.scene);
+  if (!scene) { return tl::unexpected(scene.error()); }
+  nlohmann::ordered_json report = {{"store", options.scene.store}, {"spp", scene->settings.spp}};
   if (options.renders) {
-    report["renders"] = real_renders(options, bench);
+    report["renders"] = real_renders(options, *scene);
   } else {
-    report["trace"] = trace_tables(options, bench);
+    const Result<AccessTrace> trace = trace_of(options.scene, *scene);
+    if (!trace) { return tl::unexpected(trace.error()); }
+    report["trace"] = trace_tables(options, *scene, *trace);
   }
-  if (!options.json.empty()) {
-    std::ofstream out(options.json);
-    out << report.dump(1) << '\n';
-    if (!out.flush()) {
-      fmt::print(stderr, "preheat_policy_bench: {} cannot be written\n", options.json);
-      return static_cast<int>(ExitCode::kOutputUnwritable);
-    }
-  }
-  return 0;
+  return options.json.empty() ? Result<void>{} : write_text(options.json, report.dump(1) + '\n');
 }
 
 }  // namespace
@@ -232,15 +168,15 @@ int main(int argument_count, char** arguments) {
   spdlog::set_level(spdlog::level::warn);
   preheat::Options options;
   CLI::App app("Eviction policies over a recorded trace or real renders");
-  app.add_option("STORE", options.store, "A compiled scene")->required();
-  preheat::add_view_options(app, options.view);
+  preheat::add_bench_scene_options(app, options.scene);
   app.add_option("--workers", options.workers, "The waves of a frame are shared by so many")
       ->check(CLI::Range(1U, preheat::kWorkersMax));
   app.add_option("--cache", options.shares, "Cache sizes as shares of the resident size")
       ->check(CLI::Range(1e-6, 1.0));
-  app.add_option("--trace", options.trace, "Keeps the trace here, or takes it from here");
-  app.add_option("--json", options.json, "Writes what it found here");
+  app.add_option("--json", options.json, "Writes what it found here")->type_name("FILE");
   app.add_flag("--renders", options.renders, "Renders for real instead of replaying a trace");
   CLI11_PARSE(app, argument_count, arguments);
-  return preheat::run(options);
+  const preheat::Result<void> done = preheat::run(options);
+  if (!done) { fmt::print(stderr, "preheat_policy_bench: {}\n", done.error().message); }
+  return done ? 0 : static_cast<int>(done.error().code);
 }
