@@ -39,7 +39,7 @@ struct RendererOptions {
   // Accesses are counted in this tree's cells; nullptr: in the voxels.
   std::shared_ptr<const CountingTree> counting_tree{};
   std::size_t paths_per_thread = kPathsPerThread;
-  Eviction eviction = Eviction::kLru;
+  Eviction eviction = kEvictionDefault;
   std::vector<double> rays_expected{};  // [voxel_count] of the frame, or empty; for kPrior
 };
 
