@@ -15,6 +15,7 @@
 #include <unordered_map>
 #include <utility>
 
+#include "cache/eviction_policy.h"
 #include "cache/resident_table.h"
 #include "cache/tracer.h"
 #include "cache/tracing.h"
@@ -46,6 +47,10 @@ struct HeldBlock {
 
 // How long the builder sleeps between looks at batches that may still see a withdrawn mesh.
 constexpr std::chrono::microseconds kQuiescencePoll{200};
+
+// Paths that make a period of eviction: a part of those that a thread has in flight, which visit
+// the same voxels together.
+constexpr std::uint64_t kPathsPerPeriod = kPathsPerThread / 4;
 
 }  // namespace
 
@@ -92,6 +97,7 @@ class Renderer::Impl {
   // After a batch: tells demands and counts, fetches the next tile. Requires: mutex_ held.
   bool exchange(unsigned index, bool ran);
   void step_cache();
+  [[nodiscard]] std::unique_ptr<EvictionPolicy> make_policy() const;
   void emit(RendererEvent event);
 
   SceneTables tables_;
@@ -130,6 +136,7 @@ class Renderer::Impl {
   std::unordered_map<VoxelId, HeldBlock> blocks_;
   std::unordered_map<VoxelId, std::unique_ptr<VoxelMesh>> meshes_;
   std::uint64_t tiles_done_ = 0;
+  std::uint64_t paths_in_period_ = 0;  // begun since cache_'s period did
   std::atomic<std::uint64_t> progress_{0};
   std::vector<std::thread> tracer_threads_;
   std::thread builder_thread_;
@@ -351,7 +358,7 @@ void Renderer::Impl::build_hot_set() {
     sizes.push_back({voxel.block_bytes, VoxelMesh::bytes_max(voxel.triangle_count)});
   }
   cache_.emplace(std::move(sizes), options_.cache_limit_bytes - hot_bytes_,
-                 [this](VoxelId voxel) { return resident_.last_used(voxel); });
+                 make_policy());
   residency_ = std::move(residency);
   const TracerContext context{.tables = tables_,
                               .settings = settings_,
@@ -369,6 +376,14 @@ void Renderer::Impl::build_hot_set() {
   emit(HotSetReady{preload_});
   cache_->prefetch(std::exchange(warm_, {}));
   step_cache();
+}
+
+std::unique_ptr<EvictionPolicy> Renderer::Impl::make_policy() const {
+  EvictionInput input;
+  for (const VoxelEntry& voxel : tables_.voxels) { input.bytes.push_back(voxel.block_bytes); }
+  input.chance_expected = chance_per_period(
+      options_.rays_expected, sample_count(settings_) / static_cast<double>(kPathsPerPeriod));
+  return make_eviction_policy(options_.eviction, std::move(input));
 }
 
 void Renderer::Impl::build_voxel(VoxelId voxel) {
@@ -411,9 +426,15 @@ bool Renderer::Impl::free_retired() {
 bool Renderer::Impl::exchange(unsigned index, bool ran) {
   TracerSeat& seat = seats_[index];
   Tracer& tracer = *seat.tracer;
+  paths_in_period_ += tracer.rays().camera - seat.rays.camera;
   seat.rays = tracer.rays();
   seat.misses = tracer.misses();
   seat.accesses = tracer.accesses();
+  for (const VoxelRays& rays : tracer.take_uses()) { cache_->used(rays.voxel, rays.rays); }
+  if (paths_in_period_ >= kPathsPerPeriod) {
+    paths_in_period_ = 0;
+    cache_->begin_period();
+  }
   bool cache_changed = false;
   for (const VoxelRays& rays : tracer.take_served()) {
     cache_->served(rays.voxel, rays.rays);

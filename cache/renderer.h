@@ -20,6 +20,7 @@
 #include <vector>
 
 #include "cache/counting_tree.h"
+#include "common/eviction.h"
 #include "common/film.h"
 #include "common/ids.h"
 #include "common/limits.h"
@@ -38,6 +39,8 @@ struct RendererOptions {
   // Accesses are counted in this tree's cells; nullptr: in the voxels.
   std::shared_ptr<const CountingTree> counting_tree{};
   std::uint32_t paths_per_thread = kPathsPerThread;
+  Eviction eviction = kEvictionDefault;
+  std::vector<double> rays_expected{};  // [voxel_count] of the frame, or empty; for kPrior
 };
 
 // The bytes of one voxel, 16-byte aligned, already checked against its hash. For `--local` they

@@ -7,7 +7,7 @@
 namespace preheat {
 
 ResidentTable::ResidentTable(std::size_t voxel_count, unsigned tracer_count)
-    : meshes_(voxel_count), last_used_(voxel_count), announcements_(tracer_count) {}
+    : meshes_(voxel_count), announcements_(tracer_count) {}
 
 // Sequential consistency of all four accesses orders "announce, then read the pointer" here against
 // "clear the pointer, then read the announcements" in withdraw and is_quiescent: one of the two
@@ -21,7 +21,6 @@ ResidentTable::Guard::~Guard() { announced_.store(kIdle, std::memory_order_relea
 
 void ResidentTable::publish(VoxelId voxel, const VoxelMesh* mesh) {
   CHECK(mesh != nullptr);
-  touch(voxel, stamp());
   meshes_[index_of(voxel)].store(mesh, std::memory_order_release);
 }
 

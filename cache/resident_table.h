@@ -48,26 +48,12 @@ class ResidentTable {
   // True once no batch that could have seen a mesh withdrawn at `epoch` runs any more.
   [[nodiscard]] bool is_quiescent(std::uint64_t epoch) const;
 
-  // When a tracer last used the voxel, in batches; for eviction. Approximate by design.
-  void touch(VoxelId voxel, std::uint64_t stamp) {
-    std::atomic<std::uint64_t>& slot = last_used_[index_of(voxel)];
-    if (slot.load(std::memory_order_relaxed) != stamp) {
-      slot.store(stamp, std::memory_order_relaxed);
-    }
-  }
-  [[nodiscard]] std::uint64_t last_used(VoxelId voxel) const {
-    return last_used_[index_of(voxel)].load(std::memory_order_relaxed);
-  }
-  [[nodiscard]] std::uint64_t stamp() const { return epoch_.load(std::memory_order_relaxed); }
-  void advance() { epoch_.fetch_add(1, std::memory_order_seq_cst); }
-
  private:
   static constexpr std::uint64_t kIdle = UINT64_MAX;
   struct alignas(64) Announcement {
     std::atomic<std::uint64_t> epoch{kIdle};
   };
   std::vector<std::atomic<const VoxelMesh*>> meshes_;
-  std::vector<std::atomic<std::uint64_t>> last_used_;
   std::vector<Announcement> announcements_;
   std::atomic<std::uint64_t> epoch_{1};
 };

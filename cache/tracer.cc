@@ -22,7 +22,10 @@ std::uint32_t ray_hash(const PathState& state, std::uint32_t kind) {
 }  // namespace
 
 Tracer::Tracer(const TracerContext& context, unsigned index)
-    : context_(context), index_(index), paths_(context.paths_max) {
+    : context_(context),
+      index_(index),
+      paths_(context.paths_max),
+      uses_(context.tables.voxels.size()) {
   paths_free_.reserve(paths_.size());
   for (std::size_t path = paths_.size(); path-- > 0;) {
     paths_free_.push_back(static_cast<std::uint32_t>(path));
@@ -76,7 +79,6 @@ bool Tracer::run_batch() {
     return false;
   }
   const ResidentTable::Guard guard(context_.resident, index_);
-  context_.resident.advance();
   for (const VoxelId voxel : std::exchange(available_, {})) { serve(voxel); }
   for (std::size_t rays = 0; rays < kBatchRays; ++rays) {
     if (runnable_.empty() && !start_path()) { break; }
@@ -135,7 +137,7 @@ void Tracer::launch(std::uint32_t path_index, const ShadedVertex& vertex) {
 void Tracer::run(Task task) {
   Path& path = paths_[task.path];
   RayQuery& query = task.kind == RayKind::kShadow ? path.shadow : path.scatter;
-  settle(task, context_.residency.trace(query));
+  settle(task, context_.residency.trace(query, uses_));
 }
 
 void Tracer::serve(VoxelId voxel) {
@@ -147,7 +149,7 @@ void Tracer::serve(VoxelId voxel) {
   for (const Task task : queue.tasks) {
     Path& path = paths_[task.path];
     RayQuery& query = task.kind == RayKind::kShadow ? path.shadow : path.scatter;
-    settle(task, context_.residency.resume(query));
+    settle(task, context_.residency.resume(query, uses_));
   }
   if (queue.reported > 0) { served_.push_back({voxel, queue.reported}); }
 }

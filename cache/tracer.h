@@ -50,12 +50,6 @@ struct FinishedTile {
   TilePixels pixels{};
 };
 
-// Rays of one tracer that wait for a voxel, or waited and have been served.
-struct VoxelRays {
-  VoxelId voxel{};
-  std::uint64_t rays = 0;
-};
-
 class Tracer {
  public:
   // `index` is this tracer's place in the resident table.
@@ -78,9 +72,11 @@ class Tracer {
   // wait, it does.
   [[nodiscard]] bool wants_voxels() const;
 
-  // What changed since the last call.
+  // What changed since the last call: rays that wait for a voxel, that waited and have been
+  // served, that entered a resident cold voxel.
   [[nodiscard]] std::vector<VoxelRays> take_demands();
   [[nodiscard]] std::vector<VoxelRays> take_served();
+  [[nodiscard]] std::vector<VoxelRays> take_uses() { return uses_.take(); }
   [[nodiscard]] std::vector<FinishedTile> take_finished();
 
   [[nodiscard]] const RayStats& rays() const { return rays_; }
@@ -160,6 +156,7 @@ class Tracer {
   std::vector<VoxelId> parked_changed_;  // queues with unreported tasks
   std::vector<VoxelId> available_;
   std::vector<VoxelRays> served_;
+  VoxelUses uses_;
   std::vector<FinishedTile> finished_;
   std::size_t parked_count_ = 0;
   RayStats rays_{};

@@ -63,7 +63,7 @@ bool is_before(float t, float t_enter) { return widened(t) < t_enter; }
 struct QueryContext : RayContext {
   const Residency::Impl* residency = nullptr;
   RayQuery* query = nullptr;
-  std::uint64_t stamp = 0;
+  VoxelUses* uses = nullptr;
   unsigned parallel_axes = 0;  // bit i: the ray runs (almost) parallel to the faces of axis i
   std::optional<KernelRay> kernel_ray{};  // made when the first resident voxel is met
   // The best hit's place, while its mesh is pinned by the guard.
@@ -444,7 +444,7 @@ const VoxelMesh* enter_voxel(QueryContext& context, std::uint32_t primitive, con
   const Residency::Impl& residency = *context.residency;
   const VoxelId voxel = residency.cold[primitive];
   if (const VoxelMesh* mesh = residency.resident->lookup(voxel)) {
-    residency.resident->touch(voxel, context.stamp);
+    context.uses->add(voxel);
     return mesh;
   }
   RayQuery& query = *context.query;
@@ -477,12 +477,12 @@ void box_occluded(const RTCOccludedFunctionNArguments* arguments) {
   arguments->valid[0] = ray.tfar < 0.0F ? -1 : 0;
 }
 
-QueryContext make_context(const Residency::Impl& residency, RayQuery& query) {
+QueryContext make_context(const Residency::Impl& residency, RayQuery& query, VoxelUses& uses) {
   QueryContext context;
   init_context(context);
   context.residency = &residency;
   context.query = &query;
-  context.stamp = residency.resident->stamp();
+  context.uses = &uses;
   context.parallel_axes = parallel_axes(query.ray.direction);
   return context;
 }
@@ -548,22 +548,22 @@ Residency::Residency(TracingDevice& device, const HotMesh& hot, const SceneTable
 
 Residency::~Residency() { rtcReleaseScene(impl_->scene); }
 
-Residency::Answer Residency::trace(RayQuery& query) const {
-  QueryContext context = make_context(*impl_, query);
+Residency::Answer Residency::trace(RayQuery& query, VoxelUses& uses) const {
+  QueryContext context = make_context(*impl_, query, uses);
   query.missing_count = 0;
   query.missing_overflow = false;
   query_scene(impl_->scene, context, query);
   return is_final(query) ? Answer::kFinal : Answer::kWaiting;
 }
 
-Residency::Answer Residency::resume(RayQuery& query) const {
+Residency::Answer Residency::resume(RayQuery& query, VoxelUses& uses) const {
   for (;;) {
     while (!is_final(query)) {
       const MissingVoxel next = query.missing[0];
       const VoxelMesh* mesh = impl_->resident->lookup(next.voxel);
       if (mesh == nullptr) { return Answer::kWaiting; }
-      QueryContext context = make_context(*impl_, query);
-      impl_->resident->touch(next.voxel, context.stamp);
+      QueryContext context = make_context(*impl_, query, uses);
+      uses.add(next.voxel);
       resume_in(*mesh, context, query);
       query.tested_up_to = next;
       pop_missing(query);
@@ -571,7 +571,7 @@ Residency::Answer Residency::resume(RayQuery& query) const {
     if (query.missing_count > 0 || query.blocked || !query.missing_overflow) {
       return Answer::kFinal;
     }
-    if (trace(query) == Answer::kFinal) { return Answer::kFinal; }
+    if (trace(query, uses) == Answer::kFinal) { return Answer::kFinal; }
   }
 }
 

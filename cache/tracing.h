@@ -20,6 +20,7 @@
 
 #include "cache/resident_table.h"
 #include "cache/voxel_bvh.h"
+#include "cache/voxel_uses.h"
 #include "common/path.h"
 #include "common/ray.h"
 #include "common/result.h"
@@ -150,12 +151,13 @@ class Residency {
 
   enum class Answer { kFinal, kWaiting };
 
-  // Queries everything that is resident. Requires: a Guard of this thread on the resident table.
-  Answer trace(RayQuery& query) const;
+  // Queries everything that is resident, and says in `uses` which cold voxels that was. Requires: a
+  // Guard of this thread on the resident table.
+  Answer trace(RayQuery& query, VoxelUses& uses) const;
 
   // Goes on after missing[0] has become resident: tests it and whatever follows, never the whole
   // scene unless more than kMissingMax voxels were missing. kWaiting again if missing[0] is absent.
-  Answer resume(RayQuery& query) const;
+  Answer resume(RayQuery& query, VoxelUses& uses) const;
 
   struct Impl;
 

@@ -8,10 +8,10 @@
 namespace preheat {
 
 VoxelCache::VoxelCache(std::vector<Size> voxels, std::uint64_t limit_bytes,
-                       std::function<std::uint64_t(VoxelId)> last_used)
+                       std::unique_ptr<EvictionPolicy> policy)
     : voxels_(std::move(voxels)),
       limit_bytes_(limit_bytes),
-      last_used_(std::move(last_used)),
+      policy_(std::move(policy)),
       slots_(voxels_.size()) {}
 
 void VoxelCache::hold(std::uint64_t bytes) {
@@ -39,12 +39,18 @@ void VoxelCache::served(VoxelId voxel, std::uint64_t rays) {
   slot.waiting -= rays;
 }
 
+void VoxelCache::used(VoxelId voxel, std::uint64_t rays) {
+  // A batch may end after its voxel was given up.
+  if (slots_[index_of(voxel)].state != State::kAbsent) { policy_->used(voxel, rays); }
+}
+
 bool VoxelCache::block_arrived(VoxelId voxel) {
   Slot& slot = slots_[index_of(voxel)];
   if (slot.state != State::kFetching) { return false; }
   slot.state = State::kRaw;
   slot.held_before = false;
   hold(block_bytes(voxel));
+  arrived_.push_back(voxel);
   (slot.prefetched ? counts_.prefetches : counts_.fetches) += 1;
   (slot.prefetched ? counts_.prefetched_bytes : counts_.fetched_bytes) += block_bytes(voxel);
   return true;
@@ -72,29 +78,25 @@ void VoxelCache::withdrawn(VoxelId voxel) {
   slot.bvh_bytes = 0;
 }
 
-std::vector<VoxelId>::iterator VoxelCache::find_victim(VoxelId kept) {
-  auto victim = occupied_.end();
-  std::pair<bool, std::uint64_t> victim_rank;
-  for (auto candidate = occupied_.begin(); candidate != occupied_.end(); ++candidate) {
-    const Slot& slot = slots_[index_of(*candidate)];
-    // A block that rays wait for but that is not admitted yet may go too, after all others:
-    // it must not keep the room that an admission before it needs.
-    const bool idle_mesh = slot.state == State::kBuilt && slot.waiting == 0;
-    const bool idle_block = slot.state == State::kRaw && slot.bvh_bytes == 0 && *candidate != kept;
-    if (!idle_mesh && !idle_block) { continue; }
-    const std::pair<bool, std::uint64_t> rank{slot.waiting > 0, last_used_(*candidate)};
-    if (victim == occupied_.end() || rank < victim_rank) {
-      victim = candidate;
-      victim_rank = rank;
-    }
-  }
-  return victim;
+std::optional<VoxelId> VoxelCache::find_victim(VoxelId kept) {
+  const auto is_idle_block = [&](VoxelId voxel) {
+    const Slot& slot = slots_[index_of(voxel)];
+    return slot.state == State::kRaw && slot.bvh_bytes == 0 && voxel != kept;
+  };
+  const auto is_idle = [&](VoxelId voxel) {
+    const Slot& slot = slots_[index_of(voxel)];
+    return slot.waiting == 0 && (slot.state == State::kBuilt || is_idle_block(voxel));
+  };
+  if (const auto victim = policy_->first_to_go(is_idle)) { return victim; }
+  // A block that rays wait for but that is not admitted yet may go too, after all others: it must
+  // not keep the room that an admission before it needs.
+  return policy_->first_to_go(is_idle_block);
 }
 
 bool VoxelCache::make_room(VoxelId kept, std::uint64_t bytes, std::vector<Command>& commands) {
   while (promised_bytes_ + bytes > limit_bytes_ + withdrawing_bytes_) {
-    const auto victim = find_victim(kept);
-    if (victim == occupied_.end()) { return false; }
+    const std::optional<VoxelId> victim = find_victim(kept);
+    if (!victim) { return false; }
     ++counts_.evictions;
     Slot& slot = slots_[index_of(*victim)];
     if (slot.state == State::kBuilt) {
@@ -106,8 +108,7 @@ bool VoxelCache::make_room(VoxelId kept, std::uint64_t bytes, std::vector<Comman
       held_bytes_ -= block_bytes(*victim);
       promised_bytes_ -= block_bytes(*victim);
       commands.push_back({Action::kDropBlock, *victim});
-      *victim = occupied_.back();
-      occupied_.pop_back();
+      policy_->dropped(*victim);
     }
   }
   return promised_bytes_ + bytes <= limit_bytes_;
@@ -125,7 +126,7 @@ void VoxelCache::admit(VoxelId voxel, std::vector<Command>& commands) {
   } else {
     slot.state = State::kFetching;
     slot.prefetched = slot.waiting == 0;
-    occupied_.push_back(voxel);
+    policy_->admitted(voxel);
     commands.push_back({Action::kFetch, voxel});
   }
 }
@@ -147,12 +148,9 @@ void VoxelCache::admit_prefetches(std::vector<Command>& commands) {
 std::vector<VoxelCache::Command> VoxelCache::step() {
   std::vector<Command> commands;
   // Blocks that have arrived for an admitted voxel: their BVH's bytes are promised already.
-  for (const VoxelId voxel : occupied_) {
-    Slot& slot = slots_[index_of(voxel)];
-    if (slot.state == State::kRaw && slot.bvh_bytes > 0) {
-      slot.state = State::kBuilding;
-      commands.push_back({Action::kBuild, voxel});
-    }
+  for (const VoxelId voxel : std::exchange(arrived_, {})) {
+    slots_[index_of(voxel)].state = State::kBuilding;
+    commands.push_back({Action::kBuild, voxel});
   }
   std::erase_if(wanted_, [this](VoxelId voxel) { return slots_[index_of(voxel)].waiting == 0; });
   std::sort(wanted_.begin(), wanted_.end(), [this](VoxelId a, VoxelId b) {

@@ -8,8 +8,8 @@
 // can be had; what is admitted is never evicted before it has served the rays that waited for it.
 // So admitted voxels always come to an end, and a limit of one voxel still renders: they are
 // admitted in turn. What is prefetched is admitted while nothing is waited for, and never takes the
-// place of anything. Room is made from the voxel that was used longest ago: first its BVH goes,
-// then its block.
+// place of anything. Room is made from the voxel that the policy names: first its BVH goes, then
+// its block.
 //
 // Invariant, checked after every step: held_bytes() <= promised_bytes() <= limit_bytes.
 //
@@ -18,11 +18,12 @@
 
 #include <cstdint>
 #include <deque>
-#include <functional>
+#include <memory>
+#include <optional>
 #include <span>
-#include <utility>
 #include <vector>
 
+#include "cache/eviction_policy.h"
 #include "common/ids.h"
 
 namespace preheat {
@@ -55,9 +56,8 @@ class VoxelCache {
     std::uint64_t bvh_bytes_max = 0;
   };
 
-  // `last_used(v)` ranks evictions: the lowest goes first.
   VoxelCache(std::vector<Size> voxels, std::uint64_t limit_bytes,
-             std::function<std::uint64_t(VoxelId)> last_used);
+             std::unique_ptr<EvictionPolicy> policy);
 
   // Commands to carry out after the calls since the last step, in this order. At most
   // `commands_under_way_max` fetches and builds run at a time.
@@ -69,6 +69,10 @@ class VoxelCache {
   // Rays began to wait for a voxel, or have been served.
   void add_waiting(VoxelId voxel, std::uint64_t rays);
   void served(VoxelId voxel, std::uint64_t rays);
+
+  // What the policy goes by: rays entered a voxel that is or was held; a period of them is over.
+  void used(VoxelId voxel, std::uint64_t rays);
+  void begin_period() { policy_->begin_period(); }
 
   // False if the voxel was not being fetched: the caller drops the bytes.
   [[nodiscard]] bool block_arrived(VoxelId voxel);
@@ -100,7 +104,7 @@ class VoxelCache {
   // Makes room for `bytes` more beside `kept`, by commands; false if it must wait for withdrawals
   // under way or for admitted voxels to be served.
   [[nodiscard]] bool make_room(VoxelId kept, std::uint64_t bytes, std::vector<Command>& commands);
-  [[nodiscard]] std::vector<VoxelId>::iterator find_victim(VoxelId kept);
+  [[nodiscard]] std::optional<VoxelId> find_victim(VoxelId kept);
   [[nodiscard]] std::uint64_t block_bytes(VoxelId voxel) const {
     return voxels_[index_of(voxel)].block_bytes;
   }
@@ -111,11 +115,11 @@ class VoxelCache {
 
   std::vector<Size> voxels_;
   std::uint64_t limit_bytes_;
-  std::function<std::uint64_t(VoxelId)> last_used_;
+  std::unique_ptr<EvictionPolicy> policy_;
   std::vector<Slot> slots_;
-  std::vector<VoxelId> wanted_;    // waited for and not yet admitted
-  std::deque<VoxelId> unasked_;    // to be prefetched
-  std::vector<VoxelId> occupied_;  // every voxel that is not absent
+  std::vector<VoxelId> wanted_;   // waited for and not yet admitted
+  std::deque<VoxelId> unasked_;   // to be prefetched
+  std::vector<VoxelId> arrived_;  // admitted, raw since the last step
   std::uint64_t promised_bytes_ = 0;
   std::uint64_t held_bytes_ = 0;
   std::uint64_t held_bytes_peak_ = 0;

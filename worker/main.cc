@@ -75,6 +75,15 @@ int main(int argc, char** argv) {
                  "Seconds without a word from the master before giving up")
       ->check(CLI::Range(0.1, 1e6))
       ->capture_default_str();
+  app.add_option_function<std::string>(
+         "--eviction",
+         [&options](const std::string& name) { options.eviction = *preheat::eviction_of(name); },
+         "Which voxel goes first when the cache is full: lru, lfu or s3-fifo")
+      ->check([](const std::string& name) {
+        return preheat::eviction_of(name) ? std::string{}
+                                          : "eviction \"" + name + "\" is not lru, lfu or s3-fifo";
+      })
+      ->envname("PREHEAT_EVICTION");
   app.add_flag("--keep", options.keep,
                "Stay when the job is done or the master is gone, and serve the next master at "
                "this address; ends by a signal, or with 4 or 7 when refused");

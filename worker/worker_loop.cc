@@ -47,6 +47,7 @@ class WorkerLoop {
       : master_(opened.endpoint),
         session_id_(hello.session),
         wake_fd_(wake_fd),
+        eviction_(options.eviction),
         session_(hello, Timers{}.scaled(time_scale()), from_seconds(options.give_up_seconds),
                  Clock::now()),
         transport_(*opened.transport) {}
@@ -136,6 +137,7 @@ class WorkerLoop {
   }
   void perform(StartRenderer& start) {
     renderer_.reset();
+    start.options.eviction = eviction_;
     renderer_ = std::make_unique<Renderer>(std::move(start.tables), start.settings, start.options,
                                            [fd = wake_fd_] {
                                              const std::uint64_t one = 1;
@@ -204,6 +206,7 @@ class WorkerLoop {
   Endpoint master_;
   SessionId session_id_;
   int wake_fd_;
+  Eviction eviction_;
   WorkerSession session_;
   Transport& transport_;
   std::unique_ptr<Channel> control_;

@@ -7,6 +7,7 @@
 #include <string>
 
 #include "common/clock.h"
+#include "common/eviction.h"
 #include "common/messages.h"
 #include "common/result.h"
 #include "common/secure_transport.h"
@@ -21,6 +22,7 @@ struct WorkerOptions {
   unsigned threads = 1;
   double give_up_seconds = 60.0;  // without a word from the master
   bool keep = false;              // serve one master after the other
+  Eviction eviction = kEvictionDefault;
   SecurityOptions security{};
 };
 

@@ -87,7 +87,8 @@ class TracedScene {
  public:
   TracedScene(const Store& store, Held held)
       : hot_(store.tables(), held == Held::kHot ? every_voxel(store) : std::vector<VoxelId>{}),
-        resident_(store.tables().voxels.size(), 1) {
+        resident_(store.tables().voxels.size(), 1),
+        uses_(store.tables().voxels.size()) {
     for (const VoxelId voxel : every_voxel(store)) {
       const VoxelBlockView block =
           view_voxel_block(store.block(voxel), store.tables().materials.size()).value();
@@ -115,7 +116,7 @@ class TracedScene {
       RayQuery query;
       query.ray = ray;
       query.any_hit = any_hit;
-      residency_->trace(query);
+      residency_->trace(query, uses_);
       hits += query.blocked || query.has_hit() ? 1U : 0U;
     }
     return hits;
@@ -136,7 +137,7 @@ class TracedScene {
           RayQuery query;
           query.ray = vertex.scatter;
           closest_.push_back(query.ray);
-          residency_->trace(query);
+          residency_->trace(query, uses_);
           if (!query.has_hit()) { break; }
           vertex = shading.shade_hit(query.ray, query.surface, path);
           if (vertex.has_shadow_ray) { any_.push_back(vertex.shadow); }
@@ -150,6 +151,7 @@ class TracedScene {
   std::vector<std::unique_ptr<VoxelMesh>> cold_;
   ResidentTable resident_;
   std::optional<Residency> residency_;
+  VoxelUses uses_;
   std::vector<Ray> closest_;
   std::vector<Ray> any_;
 };

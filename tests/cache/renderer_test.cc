@@ -160,6 +160,25 @@ TEST_F(RendererTest, PixelsAreTheSameWhateverIsResident) {
   std::cout << combinations << " combinations\n";
 }
 
+TEST_F(RendererTest, PixelsAreTheSameWhateverIsGivenUpFirst) {
+  const RenderSettings settings = small_settings();
+  const Outcome reference = render(store_, settings, options(1.0), every_voxel(store_, 1));
+
+  for (const Eviction eviction :
+       {Eviction::kLru, Eviction::kLfu, Eviction::kPrior, Eviction::kS3Fifo}) {
+    RendererOptions with = options(0.1);
+    with.eviction = eviction;
+    with.threads = 2;
+    for (std::uint32_t voxel = 0; voxel < store_.blocks.size(); ++voxel) {
+      with.rays_expected.push_back(voxel * 10.0);
+    }
+    const Outcome outcome = render(store_, settings, with, {});
+    EXPECT_EQ(outcome.sha256, reference.sha256) << name_of(eviction);
+    EXPECT_GT(outcome.stats.cache.evictions, 0U) << name_of(eviction);
+    EXPECT_LE(outcome.stats.cache.peak_bytes, with.cache_limit_bytes) << name_of(eviction);
+  }
+}
+
 TEST_F(RendererTest, CountingAccessesIsAPureFunctionOfTheScene) {
   const RenderSettings settings = small_settings();
   RendererOptions hot = options(1.0);

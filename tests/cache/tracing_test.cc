@@ -94,6 +94,7 @@ class Layout {
       : store_(store),
         resident_max_(resident_max),
         table_(store.blocks.size(), 1),
+        uses_(store.blocks.size()),
         hot_mesh_(store.tables, hot) {
     std::set<VoxelId> hot_ids(hot.begin(), hot.end());
     for (const VoxelId voxel : hot) { hot_mesh_.add(store.view(voxel)); }
@@ -125,13 +126,13 @@ class Layout {
  private:
   void answer(RayQuery& query) {
     const ResidentTable::Guard guard(table_, 0);
-    Residency::Answer answer = residency_->trace(query);
+    Residency::Answer answer = residency_->trace(query, uses_);
     std::size_t parked = 0;
     while (answer == Residency::Answer::kWaiting) {
       ++parked;
       ASSERT_LE(parked, store_.blocks.size()) << "a voxel was asked for twice";
       make_resident(query.missing[0].voxel);
-      answer = residency_->resume(query);
+      answer = residency_->resume(query, uses_);
     }
     parked_count_ += parked;
     parked_longest_ = std::max(parked_longest_, parked);
@@ -152,6 +153,7 @@ class Layout {
   std::size_t resident_max_;
   TracingDevice device_{1};
   ResidentTable table_;
+  VoxelUses uses_;
   HotMesh hot_mesh_;
   std::vector<VoxelId> cold_;
   std::optional<Residency> residency_;
@@ -303,7 +305,9 @@ TEST(Residency, AnyHitThatFoundABlockerWaitsForNothing) {
   query.any_hit = true;
   const ResidentTable::Guard guard(table, 0);
 
-  EXPECT_EQ(residency.trace(query), Residency::Answer::kFinal);
+  VoxelUses uses(store.tables.voxels.size());
+
+  EXPECT_EQ(residency.trace(query, uses), Residency::Answer::kFinal);
   EXPECT_TRUE(query.blocked);
 }
 

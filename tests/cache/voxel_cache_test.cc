@@ -6,6 +6,8 @@
 #include <deque>
 #include <iostream>
 #include <random>
+#include <tuple>
+#include <utility>
 
 namespace preheat {
 namespace {
@@ -18,9 +20,14 @@ std::vector<VoxelCache::Size> make_voxels(std::size_t count) {
   return std::vector<VoxelCache::Size>(count, {40, 100});
 }
 
-// A cache whose voxels were last used in the order of their ids.
-VoxelCache make_cache(const std::vector<VoxelCache::Size>& voxels, std::uint64_t limit_bytes) {
-  return {voxels, limit_bytes, [](VoxelId voxel) { return index_of(voxel); }};
+VoxelCache make_cache(const std::vector<VoxelCache::Size>& voxels, std::uint64_t limit_bytes,
+                      Eviction eviction = Eviction::kLru) {
+  EvictionInput input;
+  for (const VoxelCache::Size& voxel : voxels) {
+    input.bytes.push_back(voxel.block_bytes);
+    input.chance_expected.push_back(1.0 / static_cast<double>(input.bytes.size()));
+  }
+  return {voxels, limit_bytes, make_eviction_policy(eviction, std::move(input))};
 }
 
 void fetch_build_and_serve(VoxelCache& cache, VoxelId voxel) {
@@ -176,7 +183,8 @@ TEST(VoxelCache, DropsBytesThatNobodyAskedFor) {
 
 // Random demand against caches of one voxel and up; commands are answered in random order. Every
 // ray that waits must be served and the limit must hold after every call.
-class VoxelCacheUnderRandomDemand : public testing::TestWithParam<std::uint64_t> {};
+class VoxelCacheUnderRandomDemand
+    : public testing::TestWithParam<std::tuple<Eviction, std::uint64_t>> {};
 
 TEST_P(VoxelCacheUnderRandomDemand, ServesEveryRayWithinTheLimit) {
   const unsigned seed = std::random_device{}();
@@ -184,13 +192,12 @@ TEST_P(VoxelCacheUnderRandomDemand, ServesEveryRayWithinTheLimit) {
   std::mt19937 random(seed);
   auto voxels = make_voxels(24);
   for (VoxelCache::Size& voxel : voxels) { voxel = {20 + random() % 21, 30 + random() % 71}; }
-  std::vector<std::uint64_t> used(voxels.size());
-  const std::uint64_t limit = 140 * GetParam();
-  VoxelCache cache(voxels, limit, [&](VoxelId voxel) { return used[index_of(voxel)]; });
+  const auto [eviction, voxels_that_fit] = GetParam();
+  const std::uint64_t limit = 140 * voxels_that_fit;
+  VoxelCache cache = make_cache(voxels, limit, eviction);
   std::vector<std::uint64_t> waiting(voxels.size());
   std::uint64_t total_waiting = 0;
   std::vector<Command> under_way;
-  std::uint64_t clock = 0;
 
   const auto act = [&](bool demand) {
     if (demand) {
@@ -223,7 +230,7 @@ TEST_P(VoxelCacheUnderRandomDemand, ServesEveryRayWithinTheLimit) {
         cache.served(VoxelId{id}, waiting[id]);
         total_waiting -= waiting[id];
         waiting[id] = 0;
-        used[id] = ++clock;
+        cache.used(VoxelId{id}, 1);
       }
     }
     for (const Command& command : cache.step()) {
@@ -232,14 +239,20 @@ TEST_P(VoxelCacheUnderRandomDemand, ServesEveryRayWithinTheLimit) {
     ASSERT_LE(cache.promised_bytes(), limit);
     ASSERT_LE(cache.held_bytes(), cache.promised_bytes());
   };
-  for (int step = 0; step < 100000; ++step) { act(random() % 3 == 0); }
+  for (int step = 0; step < 100000; ++step) {
+    act(random() % 3 == 0);
+    if (step % 50 == 0) { cache.begin_period(); }
+  }
   for (int step = 0; step < 10000 && total_waiting > 0; ++step) { act(false); }
 
   EXPECT_EQ(total_waiting, 0U);
   EXPECT_GT(cache.counts().evictions, 0U);
 }
 
-INSTANTIATE_TEST_SUITE_P(VoxelsThatFit, VoxelCacheUnderRandomDemand, testing::Values(1, 2, 3, 8));
+INSTANTIATE_TEST_SUITE_P(PolicyAndVoxelsThatFit, VoxelCacheUnderRandomDemand,
+                         testing::Combine(testing::Values(Eviction::kLru, Eviction::kLfu,
+                                                          Eviction::kPrior, Eviction::kS3Fifo),
+                                          testing::Values(1, 2, 3, 8)));
 
 }  // namespace
 }  // namespace preheat
