@@ -166,7 +166,7 @@ TEST_F(RendererTest, PixelsAreTheSameWhateverIsGivenUpFirst) {
 
   for (const Eviction eviction :
        {Eviction::kLru, Eviction::kLfu, Eviction::kPrior, Eviction::kS3Fifo}) {
-    RendererOptions with = options(0.1);
+    RendererOptions with = options(0.0);
     with.eviction = eviction;
     with.threads = 2;
     for (std::uint32_t voxel = 0; voxel < store_.blocks.size(); ++voxel) {
