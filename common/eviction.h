@@ -14,7 +14,7 @@ enum class Eviction : std::uint8_t { kLru = 0, kLfu = 1, kPrior = 2, kS3Fifo = 3
 // As options name them, by the value of the enum.
 inline constexpr std::array<std::string_view, 4> kEvictionNames{"lru", "lfu", "prior", "s3-fifo"};
 
-inline constexpr Eviction kEvictionDefault = Eviction::kLru;
+inline constexpr Eviction kEvictionDefault = Eviction::kLfu;
 
 [[nodiscard]] constexpr std::string_view name_of(Eviction eviction) {
   return kEvictionNames[static_cast<std::size_t>(eviction)];

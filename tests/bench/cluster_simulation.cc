@@ -110,7 +110,7 @@ class Cluster {
       events_.pop();
       go_on(worker, time);
     }
-    settle_unfinished();
+    settle();
     const double total = static_cast<double>(options_.workers) * result_.frame_seconds;
     const ClusterSplit& split = result_.split;
     result_.split.idle = total - split.traced - split.preload - split.stalled - split.duplicated;
@@ -125,6 +125,7 @@ class Cluster {
   };
   struct Worker {
     double slowness = 1.0;
+    double ready = 0.0;  // with its hot set
     std::unique_ptr<ReplayedCache> cache{};
     double builder_free = 0.0;
     std::optional<Wave> current{};
@@ -168,7 +169,7 @@ class Cluster {
     result_.peer_bytes += (options_.workers - first_ones) * work_.hot_block_bytes;
     for (std::uint32_t id = 0; id < options_.workers; ++id) {
       const double ready = there[id] + options_.hot_build_seconds * workers_[id].slowness;
-      result_.split.preload += ready;
+      workers_[id].ready = ready;
       result_.preload_seconds = std::max(result_.preload_seconds, ready);
       push(ready, id);
     }
@@ -201,7 +202,7 @@ class Cluster {
     const Wave& wave = *worker.current;
     const double traced = trace_seconds(worker, wave);
     worker.tile_traced += traced;
-    worker.tile_stalled += time - worker.current_begin - traced;
+    worker.tile_stalled += std::max(0.0, time - worker.current_begin - traced);
     if (wave.index + 1 < waves(wave.tile).size()) { return; }
     Tile& tile = tiles_[wave.tile];
     const double tile_traced = std::exchange(worker.tile_traced, 0.0);
@@ -295,9 +296,10 @@ class Cluster {
     return network_.send(home, id, bytes, std::max(request, there_since));
   }
 
-  // Copies that still run when the last tile is there.
-  void settle_unfinished() {
+  // Where everyone stands when the last tile is there; copies of tiles may still run.
+  void settle() {
     for (const Worker& worker : workers_) {
+      result_.split.preload += std::min(worker.ready, result_.frame_seconds);
       if (!worker.is_running) { continue; }
       result_.split.stalled += worker.tile_stalled;
       result_.split.duplicated +=

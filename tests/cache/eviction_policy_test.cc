@@ -104,7 +104,7 @@ TEST_P(EveryEvictionPolicy, MissesNoLessThanBeladyAndLessThanAtRandom) {
   std::mt19937 random(seed);
   std::uint64_t misses_here = 0;
   std::uint64_t misses_at_random = 0;
-  for (int round = 0; round < 20; ++round) {
+  for (int round = 0; round < 8; ++round) {
     Sequence sequence;
     for (int at = 0; at < 3000; ++at) {
       const double uniform = static_cast<double>(random() % 10000 + 1) / 10000.0;
