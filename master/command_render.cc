@@ -20,6 +20,7 @@
 #include "master/master.h"
 #include "master/options.h"
 #include "master/progress.h"
+#include "master/render_page.h"
 #include "master/report.h"
 #include "master/scene_source.h"
 #include "master/signals.h"
@@ -33,6 +34,7 @@ struct RenderOptions {
   ViewOptions view{};
   std::string output{};
   std::string report{};
+  std::string html{};
   double exposure_ev = 0.0;
   bool local = false;
   std::optional<unsigned> workers{};
@@ -136,15 +138,16 @@ Result<void> check_before(const RenderOptions& options) {
     const auto keys = load_keys(options.security.keys_folder, KeyRole::kMaster);
     if (!keys) { return tl::unexpected(keys.error()); }
   }
+  if (auto page = check_text_output(options.html); !page) { return page; }
   return check_text_output(options.report);
 }
 
 Result<Prediction> predict_for(const RenderOptions& options, const Store& store,
                                const RenderSettings& settings) {
-  // In one process everything is hot: only a report has a use for a prediction, to compare it with
-  // what was counted.
-  const bool is_compared =
-      !options.report.empty() && options.count_accesses != AccessCounting::kNone;
+  // In one process everything is hot: only a report or a page has a use for a prediction, to
+  // compare it with what was counted.
+  const bool is_compared = (!options.report.empty() || !options.html.empty()) &&
+                           options.count_accesses != AccessCounting::kNone;
   return predict(options.local && !is_compared ? "none" : options.preload,
                  PredictionInput{store.tables(), store.proxy(), settings,
                                  std::max(1U, std::thread::hardware_concurrency()), &store});
@@ -206,7 +209,12 @@ Result<void> render(const RenderOptions& options) {
       write_image(options.output, result->film, options.exposure_ev, metadata_of(record));
   if (!written) { return written; }
   fmt::print(stderr, "{}", make_summary(record));
-  const auto reported = write_text_output(options.report, make_report(record).dump(2) + "\n");
+  const nlohmann::ordered_json report = make_report(record);
+  auto reported = write_text_output(options.report, report.dump(2) + "\n");
+  if (reported && !options.html.empty()) {
+    reported =
+        write_text_output(options.html, make_render_page(record, report, options.exposure_ev));
+  }
   if (reported && !result->poisoned_tiles.empty()) {
     return fail(
         ExitCode::kPoisonedTile,
@@ -308,6 +316,8 @@ void add_render_command(CLI::App& app, Command& chosen) {
       ->required()
       ->type_name("IMAGE");
   command->add_option("--report", options->report, "Write what it cost here as JSON; - for stdout")
+      ->type_name("FILE");
+  command->add_option("--html", options->html, "Write a page about it here; - for stdout")
       ->type_name("FILE");
   command->add_option("--exposure", options->exposure_ev, "Brightens a PNG by so many stops")
       ->check(in_range(-64.0, 64.0))

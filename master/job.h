@@ -22,6 +22,7 @@
 #include "common/outgoing.h"
 #include "master/lease_table.h"
 #include "master/master.h"
+#include "master/render_history.h"
 #include "master/voxel_server.h"
 
 namespace preheat {
@@ -173,6 +174,7 @@ class Job {
   std::optional<std::size_t> children_left_;  // nothing if this job has no children
   std::optional<Time> first_worker_;
   std::optional<Time> first_lease_;
+  HistoryRecorder history_;
   Time last_commit_{};
 };
 

@@ -17,6 +17,7 @@
 #include "common/secure_transport.h"
 #include "common/stats.h"
 #include "common/store.h"
+#include "master/render_history.h"
 
 namespace preheat {
 
@@ -74,6 +75,7 @@ struct MasterResult {
   std::vector<double> accesses_by_voxel{};
   std::uint64_t connections_denied = 0;  // for their key, or for having none
   std::vector<TileId> poisoned_tiles{};  // given up and black: the program ends with kPoisonedTile
+  RenderHistory history{};
 };
 
 // Blocks until the image is done, a failure, or `stop_signal` is set (by a signal handler: SIGINT
