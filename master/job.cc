@@ -385,6 +385,7 @@ void Job::take_tile(Worker& worker, const TileChunk& chunk, const Assembly& asse
     film_.assign(rect, *pixels);
     last_commit_ = now;
     history_.tile_done(worker.id, chunk.tile, leased.value_or(now), now);
+    if (options_.watch != nullptr) { options_.watch->tile_done(rect, *pixels); }
   }
   if (verdict.outcome == ResultOutcome::kMismatch || verdict.outcome == ResultOutcome::kReplaced) {
     spdlog::error("event=tile_mismatch worker={} tile={} outcome={}", index_of(worker.id),
@@ -573,6 +574,27 @@ Status Job::status(Time now) const {
   status.waiting_seconds = seconds(first_lease_.value_or(now) - begin_);
   status.rendering_seconds = so_far.seconds;
   return status;
+}
+
+RenderSnapshot Job::snapshot(Time now) const {
+  RenderSnapshot snapshot;
+  snapshot.phase = phase_;
+  snapshot.tiles_done = leases_.tiles_committed();
+  snapshot.tiles_total = grid_.count();
+  snapshot.workers_lost = workers_lost_;
+  snapshot.leases = leases_.stats();
+  snapshot.waiting_seconds = seconds(first_lease_.value_or(now) - begin_);
+  if (first_lease_) { snapshot.rendering_seconds = seconds(now - *first_lease_); }
+  for (const auto& worker : workers_) {
+    const bool gone = worker->presence == Presence::kAbsent;
+    const bool ready = worker->presence == Presence::kReady;
+    snapshot.workers.push_back({gone    ? WorkerState::kGone
+                                : ready ? WorkerState::kReady
+                                        : WorkerState::kPreparing,
+                                worker->threads, gone ? 0 : leases_.held_count(worker->id),
+                                worker->stats});
+  }
+  return snapshot;
 }
 
 Result<MasterResult> Job::take_result() {

@@ -28,6 +28,7 @@ class LocalRender {
         grid_{settings.width, settings.height, options.tile_size},
         count_accesses_(options.count_accesses),
         threads_(options.threads),
+        watch_(options.watch),
         progress_(progress),
         film_(settings.width, settings.height),
         renderer_(store.tables(), settings,
@@ -79,6 +80,7 @@ class LocalRender {
     if (auto* const done = std::get_if<TileDone>(&event)) {
       film_.assign(grid_.rect(done->tile), done->pixels);
       history_.tile_done(kSelf, done->tile, started_, Clock::now());
+      if (watch_ != nullptr) { watch_->tile_done(grid_.rect(done->tile), done->pixels); }
       ++tiles_done_;
     } else if (const auto* const needed = std::get_if<VoxelNeeded>(&event)) {
       return deliver_from(store_, needed->voxel, renderer_);
@@ -94,19 +96,35 @@ class LocalRender {
   }
 
   void report_progress() {
-    if (preload_seconds_ < 0.0 || seconds_since(reported_) < 0.1) { return; }
+    if (seconds_since(reported_) < 0.1) { return; }
     reported_ = Clock::now();
     const WorkerStats stats = renderer_.stats();
+    if (watch_ != nullptr) { watch_->look(snapshot(stats)); }
+    if (preload_seconds_ < 0.0) { return; }
     history_.counted(kSelf, stats, reported_);
     MasterProgress progress{tiles_done_, grid_.count(), 1, stats.rays.total()};
     progress.seconds = seconds_since(started_);
     progress_(progress);
   }
 
+  [[nodiscard]] RenderSnapshot snapshot(const WorkerStats& stats) const {
+    const bool ready = preload_seconds_ >= 0.0;
+    RenderSnapshot snapshot;
+    snapshot.phase = ready ? JobPhase::kRendering : JobPhase::kWaiting;
+    snapshot.tiles_done = tiles_done_;
+    snapshot.tiles_total = grid_.count();
+    snapshot.waiting_seconds = ready ? preload_seconds_ : seconds_since(started_);
+    snapshot.rendering_seconds = ready ? seconds_since(started_) : 0.0;
+    snapshot.workers.push_back({ready ? WorkerState::kReady : WorkerState::kPreparing, threads_,
+                                renderer_.tiles_pending(), stats});
+    return snapshot;
+  }
+
   const Store& store_;
   TileGrid grid_;
   AccessCounting count_accesses_;
   unsigned threads_;
+  RenderWatch* watch_;
   const std::function<void(const MasterProgress&)>& progress_;
   Film film_;
   HistoryRecorder history_;

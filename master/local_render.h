@@ -16,6 +16,7 @@ struct LocalOptions {
   unsigned threads = 1;
   std::uint32_t tile_size = 32;
   AccessCounting count_accesses = AccessCounting::kSampled;
+  RenderWatch* watch = nullptr;  // nullptr = nobody looks on
 };
 
 // As run_master; the one worker of the result is this process.

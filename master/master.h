@@ -18,6 +18,7 @@
 #include "common/stats.h"
 #include "common/store.h"
 #include "master/render_history.h"
+#include "master/render_watch.h"
 
 namespace preheat {
 
@@ -44,7 +45,8 @@ struct MasterOptions {
   SecurityOptions security{};
   // Set from outside (SIGHUP): the allow-list is read again. nullptr = never.
   std::atomic<bool>* reload_keys = nullptr;
-  std::string ledger_file{};  // one JSON line per lease, result, join and leave; empty = none
+  std::string ledger_file{};     // one JSON line per lease, result, join and leave; empty = none
+  RenderWatch* watch = nullptr;  // nullptr = nobody looks on
 };
 
 // For the progress line; called at most ten times a second.
@@ -55,13 +57,6 @@ struct MasterProgress {
   std::uint64_t rays = 0;
   double hit_rate = -1.0;  // negative = not known
   double seconds = 0.0;    // since the first tile was leased
-};
-
-struct LeaseStats {
-  std::uint64_t granted = 0;
-  std::uint64_t expired = 0;
-  std::uint64_t duplicates = 0;
-  std::uint64_t mismatches = 0;
 };
 
 struct MasterResult {
