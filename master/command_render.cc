@@ -1,4 +1,5 @@
 #include <fmt/format.h>
+#include <spdlog/spdlog.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -21,9 +22,12 @@
 #include "master/master.h"
 #include "master/options.h"
 #include "master/progress.h"
+#include "master/render_page.h"
 #include "master/report.h"
 #include "master/scene_source.h"
 #include "master/signals.h"
+#include "master/status_server.h"
+#include "master/tev_display.h"
 #include "master/view.h"
 
 namespace preheat {
@@ -34,6 +38,10 @@ struct RenderOptions {
   ViewOptions view{};
   std::string output{};
   std::string report{};
+  std::string html{};
+  std::string status{};
+  bool insecure_status = false;
+  std::string display{};
   double exposure_ev = 0.0;
   bool local = false;
   std::optional<unsigned> workers{};
@@ -141,15 +149,24 @@ Result<void> check_before(const RenderOptions& options) {
     const auto keys = load_keys(options.security.keys_folder, KeyRole::kMaster);
     if (!keys) { return tl::unexpected(keys.error()); }
   }
+  if (!options.status.empty()) {
+    const auto status = check_status_address(options.status, options.insecure_status);
+    if (!status) { return tl::unexpected(status.error()); }
+  }
+  if (!options.display.empty()) {
+    const auto viewer = parse_display(options.display);
+    if (!viewer) { return tl::unexpected(viewer.error()); }
+  }
+  if (auto page = check_text_output(options.html); !page) { return page; }
   return check_text_output(options.report);
 }
 
 Result<Prediction> predict_for(const RenderOptions& options, const Store& store,
                                const RenderSettings& settings) {
-  // In one process everything is hot: only a report has a use for a prediction, to compare it with
-  // what was counted.
-  const bool is_compared =
-      !options.report.empty() && options.count_accesses != AccessCounting::kNone;
+  // In one process everything is hot: only a report or a page has a use for a prediction, to
+  // compare it with what was counted.
+  const bool is_compared = (!options.report.empty() || !options.html.empty()) &&
+                           options.count_accesses != AccessCounting::kNone;
   return predict(options.local && !is_compared ? "none" : options.preload,
                  PredictionInput{store.tables(), store.proxy(), settings,
                                  std::max(1U, std::thread::hardware_concurrency()), &store});
@@ -172,18 +189,62 @@ ImageMetadata metadata_of(const RenderRecord& record) {
           {"preheat.pixels_sha256", record.pixels_sha256}};
 }
 
+// Those who look on, one told after the other.
+class Watchers : public RenderWatch {
+ public:
+  void add(std::unique_ptr<RenderWatch> watch) { list_.push_back(std::move(watch)); }
+  // nullptr if nobody looks on.
+  [[nodiscard]] RenderWatch* get() { return list_.empty() ? nullptr : this; }
+
+  void look(RenderSnapshot snapshot) override {
+    for (const auto& watch : list_) { watch->look(snapshot); }
+  }
+  void tile_done(const TileRect& rect, const TilePixels& pixels) override {
+    for (const auto& watch : list_) { watch->tile_done(rect, pixels); }
+  }
+
+ private:
+  std::vector<std::unique_ptr<RenderWatch>> list_;
+};
+
+Result<void> add_watchers(const RenderOptions& options, const Store& store,
+                          const RenderSettings& settings, Watchers& watchers) {
+  if (!options.status.empty()) {
+    const StatusFacts facts{PREHEAT_VERSION, store.info().source_file, tracing_isa(),
+                            settings.width,  settings.height,          settings.spp,
+                            settings.bounces};
+    auto status = StatusServer::start(
+        *check_status_address(options.status, options.insecure_status), facts, options.exposure_ev);
+    if (!status) { return tl::unexpected(status.error()); }
+    spdlog::warn("event=status_page url={}", (*status)->url());
+    watchers.add(*std::move(status));
+  }
+  if (!options.display.empty()) {
+    const Result<Endpoint> viewer = parse_display(options.display);
+    if (!viewer) { return tl::unexpected(viewer.error()); }
+    const auto name = std::filesystem::path(options.output).filename().string();
+    watchers.add(std::make_unique<TevDisplay>(*viewer, name, settings.width, settings.height));
+  }
+  return {};
+}
+
 Result<MasterResult> render_image(const RenderOptions& options, const Store& store,
                                   const RenderSettings& settings, const Prediction& prediction) {
+  Watchers watchers;
+  if (auto added = add_watchers(options, store, settings, watchers); !added) {
+    return tl::unexpected(added.error());
+  }
+  MasterOptions master = master_options(options);
+  master.watch = watchers.get();
   ProgressPrinter printer(stderr, ::isatty(STDERR_FILENO) == 1);
   const auto print = [&printer](const MasterProgress& progress) { printer.update(progress); };
   const std::atomic<int>& stop_signal = catch_stop_signals();
   Result<MasterResult> result =
-      options.local
-          ? render_local(store, settings,
-                         {threads_of(options), options.tile_size, options.count_accesses,
-                          options.paths_per_thread},
-                         stop_signal, print)
-          : run_master(store, settings, prediction, master_options(options), stop_signal, print);
+      options.local ? render_local(store, settings,
+                                   {threads_of(options), options.tile_size, options.count_accesses,
+                                    watchers.get()},
+                                   stop_signal, print)
+                    : run_master(store, settings, prediction, master, stop_signal, print);
   printer.finish();
   return result;
 }
@@ -212,7 +273,12 @@ Result<void> render(const RenderOptions& options) {
       write_image(options.output, result->film, options.exposure_ev, metadata_of(record));
   if (!written) { return written; }
   fmt::print(stderr, "{}", make_summary(record));
-  const auto reported = write_text_output(options.report, make_report(record).dump(2) + "\n");
+  const nlohmann::ordered_json report = make_report(record);
+  auto reported = write_text_output(options.report, report.dump(2) + "\n");
+  if (reported && !options.html.empty()) {
+    reported =
+        write_text_output(options.html, make_render_page(record, report, options.exposure_ev));
+  }
   if (reported && !result->poisoned_tiles.empty()) {
     return fail(
         ExitCode::kPoisonedTile,
@@ -269,6 +335,27 @@ void add_worker_options(CLI::App& command, RenderOptions& options) {
       ->group(kGroup);
 }
 
+void add_watch_options(CLI::App& command, RenderOptions& options) {
+  constexpr const char* kGroup = "Looking on";
+  auto* const status =
+      command
+          .add_option("--status", options.status,
+                      "Show the render as it goes on a web page at this address, with "
+                      "/status.json, /metrics and /healthz; port 0 takes a free one")
+          ->type_name("HOST:PORT")
+          ->group(kGroup);
+  command
+      .add_flag("--insecure-status", options.insecure_status,
+                "Allow --status on an address that is not loopback: whoever reaches it can look")
+      ->needs(status)
+      ->group(kGroup);
+  command
+      .add_option("--display", options.display,
+                  "Send tiles to the tev image viewer there as they arrive (port 14158 if none)")
+      ->type_name("HOST[:PORT]")
+      ->group(kGroup);
+}
+
 void add_cache_options(CLI::App& command, RenderOptions& options) {
   constexpr const char* kGroup = "Cache";
   const auto set_cache = [&options](const std::string& text) {
@@ -315,6 +402,8 @@ void add_render_command(CLI::App& app, Command& chosen) {
       ->type_name("IMAGE");
   command->add_option("--report", options->report, "Write what it cost here as JSON; - for stdout")
       ->type_name("FILE");
+  command->add_option("--html", options->html, "Write a page about it here; - for stdout")
+      ->type_name("FILE");
   command->add_option("--exposure", options->exposure_ev, "Brightens a PNG by so many stops")
       ->check(in_range(-64.0, 64.0))
       ->type_name("EV")
@@ -333,6 +422,7 @@ void add_render_command(CLI::App& app, Command& chosen) {
   add_view_options(*command, options->view);
   add_worker_options(*command, *options);
   add_cache_options(*command, *options);
+  add_watch_options(*command, *options);
   command->footer(
       "Examples:\n"
       "  preheat render demo -o demo.png\n"

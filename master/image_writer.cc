@@ -7,7 +7,6 @@
 #include <ImfOutputFile.h>
 #include <ImfStringAttribute.h>
 #include <fmt/format.h>
-#include <stb/stb_image_write.h>
 
 #include <cmath>
 #include <cstdint>
@@ -15,6 +14,7 @@
 #include <string>
 
 #include "master/file_output.h"
+#include "master/png_image.h"
 #include "master/srgb.h"
 
 namespace preheat {
@@ -66,25 +66,14 @@ std::string encode_exr(const Film& film, double exposure_ev, const ImageMetadata
   return stream.content();
 }
 
-void append_to_string(void* context, void* data, int size) {
-  static_cast<std::string*>(context)->append(static_cast<const char*>(data),
-                                             static_cast<std::size_t>(size));
-}
-
-std::string encode_png(const Film& film, double exposure_ev) {
+std::string encode_film_png(const Film& film, double exposure_ev) {
   const double gain = std::exp2(exposure_ev);
   std::vector<std::uint8_t> codes;
   codes.reserve(film.rgb().size());
   for (const float radiance : film.rgb()) {
     codes.push_back(srgb_from_linear(static_cast<double>(radiance) * gain));
   }
-  std::string content;
-  const auto width = static_cast<int>(film.width());
-  if (stbi_write_png_to_func(append_to_string, &content, width, static_cast<int>(film.height()), 3,
-                             codes.data(), width * 3) == 0) {
-    content.clear();
-  }
-  return content;
+  return encode_png(codes, film.width(), film.height(), 3);
 }
 
 }  // namespace
@@ -104,7 +93,7 @@ Result<void> write_image(const std::filesystem::path& file, const Film& film, do
   std::string content;
   try {
     content = *format == ImageFormat::kExr ? encode_exr(film, exposure_ev, metadata)
-                                           : encode_png(film, exposure_ev);
+                                           : encode_film_png(film, exposure_ev);
   } catch (const std::exception& error) {
     return fail(ExitCode::kOutputUnwritable,
                 fmt::format("cannot encode {}: {}", file.string(), error.what()));

@@ -193,6 +193,7 @@ void Job::handle(Worker& worker, const Ready& ready, Time now) {
   if (worker.presence != Presence::kPreparing) { return; }
   worker.presence = Presence::kReady;
   worker.stats.preload = ready.preload;
+  history_.worker_ready(worker.id, worker.threads, now);
   spdlog::info("event=worker_ready worker={} voxels={} bytes={} seconds={:.3f}",
                index_of(worker.id), ready.preload.voxels, ready.preload.bytes,
                ready.preload.seconds);
@@ -201,6 +202,7 @@ void Job::handle(Worker& worker, const Ready& ready, Time now) {
 
 void Job::handle(Worker& worker, const WorkerHeartbeat& heartbeat, Time now) {
   worker.stats = heartbeat.stats;
+  history_.counted(worker.id, worker.stats, now);
   if (heartbeat.progress != worker.progress) {
     worker.progress = heartbeat.progress;
     worker.stalled = false;
@@ -240,6 +242,8 @@ void Job::handle(Worker& worker, const Fault& fault, Time now) {
 
 void Job::handle(Worker& worker, const Goodbye& goodbye, Time now) {
   worker.stats = goodbye.stats;
+  history_.counted(worker.id, worker.stats, now);
+  history_.worker_gone(worker.id, /*lost=*/false, now);
   worker.presence = Presence::kAbsent;
   worker.assemblies.clear();
   leases_.remove_worker(worker.id);
@@ -280,6 +284,7 @@ void Job::lose(Worker& worker, Loss loss, const char* why, Time now) {
        index_of(worker.id), leases_.held_count(worker.id));
   worker.presence = Presence::kAbsent;
   ++workers_lost_;
+  history_.worker_gone(worker.id, /*lost=*/true, now);
   worker.assemblies.clear();
   if (loss == Loss::kSilent) {
     leases_.remove_worker(worker.id);
@@ -375,10 +380,13 @@ void Job::take_tile(Worker& worker, const TileChunk& chunk, const Assembly& asse
           now);
     return;
   }
+  const std::optional<Time> leased = leases_.granted_at(chunk.lease);
   const LeaseVerdict verdict = leases_.result(worker.id, chunk.lease, chunk.hash, now);
   if (verdict.outcome == ResultOutcome::kCommitted || verdict.outcome == ResultOutcome::kReplaced) {
     film_.assign(rect, *pixels);
     last_commit_ = now;
+    history_.tile_done(worker.id, chunk.tile, leased.value_or(now), now);
+    if (options_.watch != nullptr) { options_.watch->tile_done(rect, *pixels); }
   }
   if (verdict.outcome == ResultOutcome::kMismatch || verdict.outcome == ResultOutcome::kReplaced) {
     spdlog::error("event=tile_mismatch worker={} tile={} outcome={}", index_of(worker.id),
@@ -425,6 +433,7 @@ void Job::grant_to(Worker& worker, Time now) {
   }
   if (grant.leases.items.empty()) { return; }
   if (!first_lease_) { first_lease_ = now; }
+  history_.begin(now);
   send(worker, ChannelKind::kControl, std::move(grant));
 }
 
@@ -568,6 +577,27 @@ Status Job::status(Time now) const {
   return status;
 }
 
+RenderSnapshot Job::snapshot(Time now) const {
+  RenderSnapshot snapshot;
+  snapshot.phase = phase_;
+  snapshot.tiles_done = leases_.tiles_committed();
+  snapshot.tiles_total = grid_.count();
+  snapshot.workers_lost = workers_lost_;
+  snapshot.leases = leases_.stats();
+  snapshot.waiting_seconds = seconds(first_lease_.value_or(now) - begin_);
+  if (first_lease_) { snapshot.rendering_seconds = seconds(now - *first_lease_); }
+  for (const auto& worker : workers_) {
+    const bool gone = worker->presence == Presence::kAbsent;
+    const bool ready = worker->presence == Presence::kReady;
+    snapshot.workers.push_back({gone    ? WorkerState::kGone
+                                : ready ? WorkerState::kReady
+                                        : WorkerState::kPreparing,
+                                worker->threads, gone ? 0 : leases_.held_count(worker->id),
+                                worker->stats});
+  }
+  return snapshot;
+}
+
 Result<MasterResult> Job::take_result() {
   CHECK(phase_ == Phase::kOver);
   if (error_) { return tl::unexpected(*error_); }
@@ -578,7 +608,9 @@ Result<MasterResult> Job::take_result() {
   result.poisoned_tiles = leases_.poisoned();
   if (first_lease_) {
     result.preload_seconds = seconds(*first_lease_ - *first_worker_);
-    result.render_seconds = seconds(std::max(last_commit_, *first_lease_) - *first_lease_);
+    const Time end = std::max(last_commit_, *first_lease_);
+    result.render_seconds = seconds(end - *first_lease_);
+    result.history = history_.take(end);
   }
   return result;
 }

@@ -22,6 +22,8 @@
 #include "common/outgoing.h"
 #include "master/lease_table.h"
 #include "master/master.h"
+#include "master/render_history.h"
+#include "master/render_watch.h"
 #include "master/voxel_server.h"
 
 namespace preheat {
@@ -60,6 +62,7 @@ struct JobOptions {
   Timers timers{};
   std::uint64_t seed = 0;                            // of the lease ids
   std::function<void(const std::string&)> ledger{};  // one JSON line per event; may be empty
+  RenderWatch* watch = nullptr;                      // told of tiles; nullptr = nobody looks on
 };
 
 class Job {
@@ -83,6 +86,7 @@ class Job {
   [[nodiscard]] bool over() const { return phase_ == Phase::kOver; }
   [[nodiscard]] MasterProgress progress(Time now) const;
   [[nodiscard]] Status status(Time now) const;
+  [[nodiscard]] RenderSnapshot snapshot(Time now) const;
   // Requires: over(). Once.
   [[nodiscard]] Result<MasterResult> take_result();
 
@@ -174,6 +178,7 @@ class Job {
   std::optional<std::size_t> children_left_;  // nothing if this job has no children
   std::optional<Time> first_worker_;
   std::optional<Time> first_lease_;
+  HistoryRecorder history_;
   Time last_commit_{};
 };
 

@@ -10,12 +10,11 @@
 #include "cache/local_residency.h"
 #include "cache/renderer.h"
 #include "cache/tracer.h"
+#include "common/clock.h"
 #include "master/signals.h"
 
 namespace preheat {
 namespace {
-
-using Clock = std::chrono::steady_clock;
 
 double seconds_since(Clock::time_point start) {
   return std::chrono::duration<double>(Clock::now() - start).count();
@@ -28,6 +27,8 @@ class LocalRender {
       : store_(store),
         grid_{settings.width, settings.height, options.tile_size},
         count_accesses_(options.count_accesses),
+        threads_(options.threads),
+        watch_(options.watch),
         progress_(progress),
         film_(settings.width, settings.height),
         renderer_(store.tables(), settings,
@@ -56,6 +57,9 @@ class LocalRender {
       report_progress();
     }
     MasterResult result{std::move(film_), {}, {renderer_.stats()}, 0.0, 0.0};
+    const Time end = Clock::now();
+    history_.counted(kSelf, result.workers.front(), end);
+    result.history = history_.take(end);
     result.preload_seconds = preload_seconds_ > 0.0 ? preload_seconds_ : 0.0;
     result.render_seconds = seconds_since(began) - result.preload_seconds;
     result.accesses_by_voxel = accesses_by_voxel();
@@ -63,6 +67,8 @@ class LocalRender {
   }
 
  private:
+  static constexpr WorkerId kSelf{0};
+
   [[nodiscard]] std::vector<double> accesses_by_voxel() const {
     std::vector<double> accesses;
     if (count_accesses_ == AccessCounting::kNone) { return accesses; }
@@ -76,6 +82,8 @@ class LocalRender {
   Result<void> handle(RendererEvent& event) {
     if (auto* const done = std::get_if<TileDone>(&event)) {
       film_.assign(grid_.rect(done->tile), done->pixels);
+      history_.tile_done(kSelf, done->tile, started_, Clock::now());
+      if (watch_ != nullptr) { watch_->tile_done(grid_.rect(done->tile), done->pixels); }
       ++tiles_done_;
     } else if (const auto* const needed = std::get_if<VoxelNeeded>(&event)) {
       return deliver_from(store_, needed->voxel, renderer_);
@@ -84,24 +92,45 @@ class LocalRender {
     } else if (std::holds_alternative<HotSetReady>(event)) {
       preload_seconds_ = seconds_since(started_);
       started_ = Clock::now();
+      history_.worker_ready(kSelf, threads_, started_);
+      history_.begin(started_);
     }
     return {};
   }
 
   void report_progress() {
-    if (preload_seconds_ < 0.0 || seconds_since(reported_) < 0.1) { return; }
+    if (seconds_since(reported_) < 0.1) { return; }
     reported_ = Clock::now();
     const WorkerStats stats = renderer_.stats();
+    if (watch_ != nullptr) { watch_->look(snapshot(stats)); }
+    if (preload_seconds_ < 0.0) { return; }
+    history_.counted(kSelf, stats, reported_);
     MasterProgress progress{tiles_done_, grid_.count(), 1, stats.rays.total()};
     progress.seconds = seconds_since(started_);
     progress_(progress);
   }
 
+  [[nodiscard]] RenderSnapshot snapshot(const WorkerStats& stats) const {
+    const bool ready = preload_seconds_ >= 0.0;
+    RenderSnapshot snapshot;
+    snapshot.phase = ready ? JobPhase::kRendering : JobPhase::kWaiting;
+    snapshot.tiles_done = tiles_done_;
+    snapshot.tiles_total = grid_.count();
+    snapshot.waiting_seconds = ready ? preload_seconds_ : seconds_since(started_);
+    snapshot.rendering_seconds = ready ? seconds_since(started_) : 0.0;
+    snapshot.workers.push_back({ready ? WorkerState::kReady : WorkerState::kPreparing, threads_,
+                                renderer_.tiles_pending(), stats});
+    return snapshot;
+  }
+
   const Store& store_;
   TileGrid grid_;
   AccessCounting count_accesses_;
+  unsigned threads_;
+  RenderWatch* watch_;
   const std::function<void(const MasterProgress&)>& progress_;
   Film film_;
+  HistoryRecorder history_;
   std::uint32_t tiles_done_ = 0;
   double preload_seconds_ = -1.0;  // negative until the hot set is ready
   Clock::time_point started_{};    // of the phase under way

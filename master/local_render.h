@@ -18,6 +18,7 @@ struct LocalOptions {
   std::uint32_t tile_size = 32;
   AccessCounting count_accesses = AccessCounting::kSampled;
   std::uint32_t paths_per_thread = kPathsPerThread;  // in flight
+  RenderWatch* watch = nullptr;  // nullptr = nobody looks on
 };
 
 // As run_master; the one worker of the result is this process.

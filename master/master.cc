@@ -158,6 +158,7 @@ class MasterLoop {
         control_out_(*control_),
         bulk_out_(*bulk_),
         timers_(options.timers),
+        watch_(options.watch),
         job_(std::move(options), std::move(scene), Clock::now()) {}
 
   Result<void> start_workers(const MasterOptions& options) {
@@ -192,9 +193,10 @@ class MasterLoop {
         job_.tick(now);
       }
       send(now);
-      if (progress && now - progress_last_ >= kBetweenProgress) {
+      if (now - progress_last_ >= kBetweenProgress) {
         progress_last_ = now;
-        progress(job_.progress(now));
+        if (progress) { progress(job_.progress(now)); }
+        if (watch_ != nullptr) { watch_->look(job_.snapshot(now)); }
       }
       if (job_.over()) { break; }
       const std::array<Channel*, 2> channels{control_.get(), bulk_.get()};
@@ -261,6 +263,7 @@ class MasterLoop {
   Outbox control_out_;
   Outbox bulk_out_;
   Timers timers_;
+  RenderWatch* watch_;
   Job job_;
   WorkerProcesses children_;
   Time tick_last_{};
@@ -318,6 +321,7 @@ JobOptions job_options(const MasterOptions& options, const RenderSettings& setti
   job.self_test = numeric_self_test();
   job.timers = Timers{}.scaled(time_scale());
   job.seed = random_bits();
+  job.watch = options.watch;
   return job;
 }
 

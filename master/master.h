@@ -18,6 +18,8 @@
 #include "common/secure_transport.h"
 #include "common/stats.h"
 #include "common/store.h"
+#include "master/render_history.h"
+#include "master/render_watch.h"
 
 namespace preheat {
 
@@ -45,7 +47,8 @@ struct MasterOptions {
   SecurityOptions security{};
   // Set from outside (SIGHUP): the allow-list is read again. nullptr = never.
   std::atomic<bool>* reload_keys = nullptr;
-  std::string ledger_file{};  // one JSON line per lease, result, join and leave; empty = none
+  std::string ledger_file{};     // one JSON line per lease, result, join and leave; empty = none
+  RenderWatch* watch = nullptr;  // nullptr = nobody looks on
 };
 
 // For the progress line; called at most ten times a second.
@@ -56,13 +59,6 @@ struct MasterProgress {
   std::uint64_t rays = 0;
   double hit_rate = -1.0;  // negative = not known
   double seconds = 0.0;    // since the first tile was leased
-};
-
-struct LeaseStats {
-  std::uint64_t granted = 0;
-  std::uint64_t expired = 0;
-  std::uint64_t duplicates = 0;
-  std::uint64_t mismatches = 0;
 };
 
 struct MasterResult {
@@ -76,6 +72,7 @@ struct MasterResult {
   std::vector<double> accesses_by_voxel{};
   std::uint64_t connections_denied = 0;  // for their key, or for having none
   std::vector<TileId> poisoned_tiles{};  // given up and black: the program ends with kPoisonedTile
+  RenderHistory history{};
 };
 
 // Blocks until the image is done, a failure, or `stop_signal` is set (by a signal handler: SIGINT

@@ -67,6 +67,26 @@ TEST_F(Program, RendersAnObjectUnderTheSkyAndReportsIt) {
   EXPECT_THAT(report["settings"]["sky_source"].get<std::string>(), HasSubstr("no light"));
 }
 
+TEST_F(Program, WhoLooksOnChangesNoPixel) {
+  const std::string alone = "render scene.obj -o a.png --report a.json";
+  const std::string watched =
+      "render scene.obj -o b.png --report b.json --html b.html --status 127.0.0.1:0 "
+      "--display 127.0.0.1:9";
+  for (const std::string& how : {std::string(kSmall), std::string(" --size 32x24 --spp 2")}) {
+    const Outcome unseen = preheat(alone + how);
+    const Outcome seen = preheat(watched + how);
+
+    ASSERT_EQ(unseen.exit_code, 0) << unseen.standard_error;
+    ASSERT_EQ(seen.exit_code, 0) << seen.standard_error;
+    EXPECT_THAT(seen.standard_error, HasSubstr("event=status_page url=http://127.0.0.1:"));
+    EXPECT_EQ(content("a.png"), content("b.png"));
+    const std::string page = content("b.html");
+    EXPECT_THAT(page, HasSubstr("Predicted over counted"));
+    EXPECT_THAT(page, HasSubstr("<th scope=\"row\">worker 0</th>"));
+    EXPECT_TRUE(page.ends_with("</html>\n"));
+  }
+}
+
 TEST_F(Program, WorkersCountVoxelByVoxelWhatOneProcessCounts) {
   const std::string view = " --size 64x48 --spp 4 --count-accesses exact";
   const Outcome workers =
@@ -191,6 +211,11 @@ INSTANTIATE_TEST_SUITE_P(
         Case{"evaluate_unit", "evaluate scene.obj --unit node:99", 2, "node:99"},
         Case{"demo_size", "render demo:7 -o a.png", 2, "demo:7"},
         Case{"output_folder", "render scene.obj -o missing/a.png", 6, "missing/a.png"},
+        Case{"page_folder", "render scene.obj -o a.png --html missing/a.html", 6, "missing/a.html"},
+        Case{"status_address", "render scene.obj -o a.png --status 8080", 2, "HOST:PORT"},
+        Case{"status_for_all", "render scene.obj -o a.png --status 0.0.0.0:8080", 2,
+             "--insecure-status"},
+        Case{"viewer", "render scene.obj -o a.png --display 127.0.0.1:x", 2, "127.0.0.1:x"},
         Case{"report_folder", "render scene.obj -o a.png --report missing/a.json", 6,
              "missing/a.json"},
         Case{"missing_scene", "render missing.gltf -o a.png", 9, "missing.gltf"},
