@@ -230,6 +230,28 @@ TEST_F(Security, KeysOpenAForeignAddress) {
   EXPECT_EQ(master.log().find("event=insecure"), std::string::npos);
 }
 
+TEST_F(Security, TheEndpointFileLeadsWorkersToAPortThatTheSystemChose) {
+  Process master{kPreheat,
+                 render_arguments("endpoint", {"--listen", "tcp://0.0.0.0:*", "--keys",
+                                               path("keys"), "--endpoint-file", path("endpoint")}),
+                 path("endpoint.log")};
+  ASSERT_TRUE(listens(master)) << master.log();
+  while (!fs::exists(path("endpoint")) && master.running()) {
+    std::this_thread::sleep_for(milliseconds(5));
+  }
+
+  std::string endpoint = content(path("endpoint"));
+  ASSERT_THAT(endpoint, ::testing::MatchesRegex("tcp://[^:]+:[0-9]+\n"));
+  EXPECT_THAT(endpoint, ::testing::Not(HasSubstr("0.0.0.0")));
+  // The name need not be known to every machine that runs tests: the port is what was not known.
+  endpoint.pop_back();
+  const auto worker =
+      start_worker("endpoint", "tcp://127.0.0.1" + endpoint.substr(endpoint.rfind(':')),
+                   {"--keys", path("keys")});
+
+  expect_whole("endpoint", master);
+}
+
 TEST_F(Security, WhoIsNotTrustedEndsWithAReasonAndTheRenderGoesOn) {
   // A worker key that nobody listed, for the right master.
   fs::create_directories(path("unlisted/worker"));
