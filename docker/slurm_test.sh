@@ -114,8 +114,8 @@ sinfo --version
 
 export PREHEAT_BIN=$bin PREHEAT_SCENE=demo:50000 XDG_CACHE_HOME=$scratch/stores
 quick='--size 160x108 --spp 4 --bounces 8 --wait-workers 2'
-# Longer than anything here waits: it ends by a signal.
-endless='--size 640x432 --spp 4096 --wait-workers 2'
+# Small tiles, soon done, and more of them than anything here waits for: it ends by a signal.
+endless='--size 4096x4096 --spp 64 --tile-size 8 --wait-workers 2'
 
 # submit ARGS: queues a render with these arguments and sets `job`.
 submit() {
@@ -137,7 +137,9 @@ renders() {
     "$bin/preheat" status --connect "$(<"$folder/endpoint")" --keys "$folder/keys" 2>/dev/null |
     awk '$1 == "tiles" && $2 > 0 {found = 1} END {exit !found}'
 }
-no_worker_left() { ! pgrep -f "$bin/preheat-worker --connect tcp://$host:" >/dev/null; }
+# By their beginning, for srun names them, too.
+workers() { pgrep -f "^$bin/preheat-worker --connect tcp://$host:"; }
+no_worker_left() { ! workers >/dev/null; }
 
 say "reference"
 # shellcheck disable=SC2086  # several words
@@ -184,9 +186,9 @@ check "its keys are gone as well" eventually test -z "$(private_folder)"
 check "no worker is left" eventually no_worker_left
 
 say "a worker lost"
-submit "${quick/--spp 4/--spp 256}"
+submit "${quick/--spp 4/--spp 64} --tile-size 8"
 check "it renders" eventually renders
-kill -KILL "$(pgrep -f "$bin/preheat-worker --connect tcp://$host:" | head -n 1)"
+kill -KILL "$(workers | head -n 1)"
 eventually ended
 log
 check "the render goes on without it" equal "$(show JobState) $(show ExitCode)" "COMPLETED 0:0"
