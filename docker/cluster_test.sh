@@ -65,7 +65,7 @@ chmod 755 "$scratch"
 export COMPOSE_PROJECT_NAME=preheat-test-$$ PREHEAT_IMAGE=preheat
 # Small enough for a minute, long enough for something to happen in between.
 export PREHEAT_SCENE=demo:50000
-settings='--size 320x216 --spp 64 --bounces 8 --tile-size 16'
+settings='--size 320x216 --spp 32 --bounces 8 --tile-size 16'
 export PREHEAT_ARGS=$settings
 compose() { docker compose -f docker/compose.yaml "$@"; }
 farm() { docker compose -f docker/cluster.yaml "$@"; }

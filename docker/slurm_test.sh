@@ -50,14 +50,17 @@ scratch=$(mktemp -d)
 chmod 755 "$scratch"
 daemons=()
 clean_up() {
-  scancel --user "$(id -un)" >/dev/null 2>&1 || true
+  # Jobs outlive the daemons that started them, so they go first.
+  scancel --user "$(id -un)" >/dev/null 2>&1 && eventually no_job_left
   local at
   for ((at = ${#daemons[@]} - 1; at >= 0; --at)); do
     kill "${daemons[at]}" 2>/dev/null && wait "${daemons[at]}" 2>/dev/null
   done
   rm -rf "$scratch"
 }
+no_job_left() { [[ -z $(squeue -h 2>/dev/null) ]]; }
 trap clean_up EXIT
+trap 'exit 1' INT TERM
 # daemon NAME COMMAND...
 daemon() {
   local name=$1

@@ -252,6 +252,26 @@ TEST_F(Security, TheEndpointFileLeadsWorkersToAPortThatTheSystemChose) {
   expect_whole("endpoint", master);
 }
 
+TEST_F(Security, AFloodOfSilentConnectionsLeavesRoomForWorkers) {
+  constexpr int kStrangers = 1000;
+  std::vector<std::string> arguments =
+      render_arguments("flood", {"--listen", address_, "--keys", path("keys")});
+  arguments.insert(arguments.begin(), {"-c", "ulimit -S -n 256; exec \"$@\"", "sh", kPreheat});
+  Process master{"/bin/sh", arguments, path("flood.log")};
+  ASSERT_TRUE(listens(master)) << master.log();
+
+  // What it began with was too little, and it took what it may.
+  const std::string limits = content("/proc/" + std::to_string(master.pid()) + "/limits");
+  EXPECT_THAT(limits, ::testing::ContainsRegex("Max open files +[0-9]+"));
+  EXPECT_THAT(limits, ::testing::Not(::testing::ContainsRegex("Max open files +256 ")));
+  std::vector<int> strangers;
+  for (int i = 0; i < kStrangers; ++i) { strangers.push_back(connect_raw(port_)); }
+  EXPECT_THAT(strangers, ::testing::Not(::testing::Contains(-1)));
+  const auto worker = start_worker("flood", address_, {"--keys", path("keys")});
+  expect_whole("flood", master);
+  for (const int fd : strangers) { ::close(fd); }
+}
+
 TEST_F(Security, WhoIsNotTrustedEndsWithAReasonAndTheRenderGoesOn) {
   // A worker key that nobody listed, for the right master.
   fs::create_directories(path("unlisted/worker"));
