@@ -12,7 +12,7 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 bin=$(realpath -m "${1:-build/release/bin}")
 
 skip() { printf 'skipped: %s\n' "$*"; exit 77; }
-say() { printf '== %s\n' "$*"; }
+say() { printf '== %s s: %s\n' "$SECONDS" "$*"; }
 
 for tool in munged slurmctld slurmd sbatch srun scontrol; do
   command -v "$tool" >/dev/null || PATH=$PATH:/usr/sbin command -v "$tool" >/dev/null ||
@@ -206,6 +206,6 @@ PREHEAT_KEYS=$scratch/open submit "$quick"
 eventually ended
 check "keys that are none end it, too" equal "$(show ExitCode)" "2:0"
 
-say "after $SECONDS s"
+say "the end"
 printf '%s passed, %s failed\n' "$passed" "$failed"
 ((failed == 0))
