@@ -2,17 +2,31 @@
 
 #include <spdlog/spdlog.h>
 #include <sys/prctl.h>
+#include <sys/resource.h>
 
 #include <utility>
 
 #include "common/zmq_transport.h"
 
 namespace preheat {
+namespace {
+
+// A connection takes a descriptor, a stranger's until its handshake has timed out. A thousand
+// workers come with two each, and the usual soft limit is 1024.
+void raise_descriptor_limit() {
+  rlimit limit{};
+  if (::getrlimit(RLIMIT_NOFILE, &limit) != 0) { return; }
+  limit.rlim_cur = limit.rlim_max;
+  static_cast<void>(!::setrlimit(RLIMIT_NOFILE, &limit));  // always allowed
+}
+
+}  // namespace
 
 Result<SecureTransport> open_transport(const std::string& address, const SecurityOptions& options,
                                        KeyRole role) {
   Result<Endpoint> endpoint = check_endpoint(address, options.reach_settled());
   if (!endpoint) { return tl::unexpected(endpoint.error()); }
+  raise_descriptor_limit();
   if (options.keys_folder.empty()) {
     if (!is_loopback(*endpoint)) {
       spdlog::warn(

@@ -49,6 +49,7 @@ struct RenderOptions {
   unsigned wait_workers = 1;
   SecurityOptions security{};
   std::string ledger{};
+  std::string endpoint_file{};
   CacheSize cache{};
   std::string cache_text = "25%";
   std::string preload = "transport";
@@ -108,6 +109,7 @@ MasterOptions master_options(const RenderOptions& options) {
   master.security = options.security;
   if (!options.security.keys_folder.empty()) { master.reload_keys = &catch_reload_signal(); }
   master.ledger_file = options.ledger;
+  master.endpoint_file = options.endpoint_file;
   return master;
 }
 
@@ -144,6 +146,9 @@ Result<void> check_before(const RenderOptions& options) {
   if (!options.listen.empty()) {
     const auto listen = check_endpoint(options.listen, options.security.reach_settled());
     if (!listen) { return tl::unexpected(listen.error()); }
+  }
+  if (!options.endpoint_file.empty()) {
+    if (auto writable = check_output(options.endpoint_file); !writable) { return writable; }
   }
   if (!options.local && !options.security.keys_folder.empty()) {
     const auto keys = load_keys(options.security.keys_folder, KeyRole::kMaster);
@@ -305,6 +310,13 @@ void add_worker_options(CLI::App& command, RenderOptions& options) {
       ->type_name("N")
       ->check(in_range(1U, kWorkersMax))
       ->capture_default_str()
+      ->needs(listen)
+      ->group(kGroup);
+  command
+      .add_option(
+          "--endpoint-file", options.endpoint_file,
+          "Write here where workers connect to, once they can: with port *, which one it is")
+      ->type_name("FILE")
       ->needs(listen)
       ->group(kGroup);
   auto* const insecure =

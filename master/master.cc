@@ -19,6 +19,7 @@
 #include "common/limits.h"
 #include "common/self_test.h"
 #include "common/zmq_transport.h"
+#include "master/endpoint_file.h"
 #include "master/job.h"
 #include "master/worker_processes.h"
 
@@ -369,6 +370,9 @@ Result<MasterResult> run_master(const Store& store, const RenderSettings& settin
   // Where nobody is started, somebody must be told where to go.
   spdlog::log(options.workers_to_start == 0 ? spdlog::level::warn : spdlog::level::info,
               "event=listening control={} bulk={}", job.address, channels->bulk->endpoint());
+  if (auto told = write_endpoint(options.endpoint_file, job.address); !told) {
+    return tl::unexpected(told.error());
+  }
   MasterLoop loop{std::move(opened->transport), std::move(guard), *std::move(channels),
                   std::move(job), job_scene(store, planner)};
   if (auto started = loop.start_workers(options); !started) {

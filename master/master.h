@@ -48,6 +48,7 @@ struct MasterOptions {
   // Set from outside (SIGHUP): the allow-list is read again. nullptr = never.
   std::atomic<bool>* reload_keys = nullptr;
   std::string ledger_file{};     // one JSON line per lease, result, join and leave; empty = none
+  std::string endpoint_file{};   // where workers connect to, once they can; empty = none
   RenderWatch* watch = nullptr;  // nullptr = nobody looks on
 };
 

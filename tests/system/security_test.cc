@@ -230,6 +230,48 @@ TEST_F(Security, KeysOpenAForeignAddress) {
   EXPECT_EQ(master.log().find("event=insecure"), std::string::npos);
 }
 
+TEST_F(Security, TheEndpointFileLeadsWorkersToAPortThatTheSystemChose) {
+  Process master{kPreheat,
+                 render_arguments("endpoint", {"--listen", "tcp://0.0.0.0:*", "--keys",
+                                               path("keys"), "--endpoint-file", path("endpoint")}),
+                 path("endpoint.log")};
+  ASSERT_TRUE(listens(master)) << master.log();
+  while (!fs::exists(path("endpoint")) && master.running()) {
+    std::this_thread::sleep_for(milliseconds(5));
+  }
+
+  std::string endpoint = content(path("endpoint"));
+  ASSERT_THAT(endpoint, ::testing::MatchesRegex("tcp://[^:]+:[0-9]+\n"));
+  EXPECT_THAT(endpoint, ::testing::Not(HasSubstr("0.0.0.0")));
+  // The name need not be known to every machine that runs tests: the port is what was not known.
+  endpoint.pop_back();
+  const auto worker =
+      start_worker("endpoint", "tcp://127.0.0.1" + endpoint.substr(endpoint.rfind(':')),
+                   {"--keys", path("keys")});
+
+  expect_whole("endpoint", master);
+}
+
+TEST_F(Security, AFloodOfSilentConnectionsLeavesRoomForWorkers) {
+  constexpr int kStrangers = 1000;
+  std::vector<std::string> arguments =
+      render_arguments("flood", {"--listen", address_, "--keys", path("keys")});
+  arguments.insert(arguments.begin(), {"-c", "ulimit -S -n 256; exec \"$@\"", "sh", kPreheat});
+  Process master{"/bin/sh", arguments, path("flood.log")};
+  ASSERT_TRUE(listens(master)) << master.log();
+
+  // What it began with was too little, and it took what it may.
+  const std::string limits = content("/proc/" + std::to_string(master.pid()) + "/limits");
+  EXPECT_THAT(limits, ::testing::ContainsRegex("Max open files +[0-9]+"));
+  EXPECT_THAT(limits, ::testing::Not(::testing::ContainsRegex("Max open files +256 ")));
+  std::vector<int> strangers;
+  for (int i = 0; i < kStrangers; ++i) { strangers.push_back(connect_raw(port_)); }
+  EXPECT_THAT(strangers, ::testing::Not(::testing::Contains(-1)));
+  const auto worker = start_worker("flood", address_, {"--keys", path("keys")});
+  expect_whole("flood", master);
+  for (const int fd : strangers) { ::close(fd); }
+}
+
 TEST_F(Security, WhoIsNotTrustedEndsWithAReasonAndTheRenderGoesOn) {
   // A worker key that nobody listed, for the right master.
   fs::create_directories(path("unlisted/worker"));
