@@ -247,7 +247,7 @@ Result<MasterResult> render_image(const RenderOptions& options, const Store& sto
   Result<MasterResult> result =
       options.local ? render_local(store, settings,
                                    {threads_of(options), options.tile_size, options.count_accesses,
-                                    watchers.get()},
+                                    options.paths_per_thread, watchers.get()},
                                    stop_signal, print)
                     : run_master(store, settings, prediction, master, stop_signal, print);
   printer.finish();
