@@ -10,6 +10,7 @@ const std::string_view kStatusPageHtml = R"html(<!DOCTYPE html>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <title>preheat</title>
+<link rel="icon" type="image/svg+xml" href="/icon.svg">
 <link rel="stylesheet" href="/status.css">
 <script src="/status.js" defer></script>
 </head>
@@ -52,6 +53,11 @@ Prometheus's text format, <a href="/healthz">healthz</a>.</p>
 </body>
 </html>
 )html";
+
+// A cell of an octree, its hottest child lit.
+const std::string_view kStatusPageIcon =
+    "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 16 16\"><path fill=\"#5b2a86\" "
+    "d=\"M0 0h16v16H0z\"/><path fill=\"#ffb020\" d=\"M8 0h8v8H8z\"/></svg>\n";
 
 const std::string_view kStatusPageScript = R"js("use strict";
 const at = id => document.getElementById(id);
@@ -127,7 +133,7 @@ function show_workers(status) {
     (hidden > 0 ? "; " + hidden + " more are not listed" : ""));
 }
 
-// The picture has its place before it has arrived.
+/* The picture has its place before it has arrived. */
 function show_image(status) {
   const scale = Math.min(1, 768 / Math.max(status.image.width, status.image.height));
   at("image").width = Math.max(1, Math.floor(scale * status.image.width));
@@ -146,8 +152,10 @@ function show(status) {
   document.title = Math.floor(100 * share) + " % of " + status.scene;
   const left = share > 0 && share < 1
     ? ", about " + clock(status.time.rendering * (1 - share) / share) + " left" : "";
-  set_text(at("state"), status.phase === "waiting"
-    ? "Waiting for workers since " + clock(status.time.waiting) + "."
+  const has_begun = status.time.rendering > 0 || tiles.done > 0;
+  set_text(at("state"), !has_begun
+    ? (status.workers.preparing > 0 ? "Workers load their voxels" : "Waiting for workers") +
+      ", " + clock(status.time.waiting) + " so far."
     : tiles.done + " of " + tiles.total + " tiles" + left + ".");
   at("progress").value = share;
   set_text(at("size"), status.image.width + "\u00d7" + status.image.height + " pixels, " +

@@ -8,6 +8,7 @@ namespace preheat {
 
 extern const std::string_view kStatusPageHtml;
 extern const std::string_view kStatusPageScript;
+extern const std::string_view kStatusPageIcon;  // SVG
 // The style of all pages and what this one adds.
 [[nodiscard]] std::string status_page_style();
 

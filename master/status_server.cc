@@ -73,6 +73,9 @@ HttpResponse StatusServer::answer(const HttpRequest& request) {
   if (request.path == "/status.js") {
     return file_response("text/javascript; charset=utf-8", std::string(kStatusPageScript));
   }
+  if (request.path == "/icon.svg") {
+    return file_response("image/svg+xml", std::string(kStatusPageIcon));
+  }
   if (request.path == "/status.json") {
     const Json json = make_status_json(facts_, moment()->snapshot, preview_.version());
     return file_response("application/json",

@@ -151,7 +151,7 @@ class Status : public ::testing::Test {
 TEST_F(Status, ServesWhatThePageAsksFor) {
   const std::string page = test::get(port_, "/");
   EXPECT_THAT(page, HasSubstr("Content-Type: text/html"));
-  for (const std::string file : {"/status.css", "/status.js"}) {
+  for (const std::string file : {"/status.css", "/status.js", "/icon.svg"}) {
     EXPECT_THAT(page, HasSubstr("\"" + file + "\""));
     EXPECT_THAT(test::get(port_, file), StartsWith("HTTP/1.1 200 "));
   }
