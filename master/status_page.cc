@@ -133,7 +133,7 @@ function show_workers(status) {
     (hidden > 0 ? "; " + hidden + " more are not listed" : ""));
 }
 
-// The picture has its place before it has arrived.
+/* The picture has its place before it has arrived. */
 function show_image(status) {
   const scale = Math.min(1, 768 / Math.max(status.image.width, status.image.height));
   at("image").width = Math.max(1, Math.floor(scale * status.image.width));

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <optional>
 #include <set>
+#include <utility>
 
 #include "common/check.h"
 #include "common/store.h"
@@ -14,18 +15,26 @@
 namespace preheat {
 namespace {
 
-// Two squares of two triangles each, left and right of a gap, in the plane z = 0.
+// Two squares of 128 triangles each, left and right of a gap, in the plane z = 0.
 Scene two_squares() {
+  constexpr std::uint32_t kCells = 8;
+  constexpr float kStep = 0.6F / kCells;
   Scene scene;
   scene.materials.resize(1);
   for (const float left : {-0.9F, 0.3F}) {
-    const auto first = static_cast<std::uint32_t>(scene.positions.size());
-    for (const auto& [x, y] : {std::pair{0.0F, -0.3F}, {0.6F, -0.3F}, {0.6F, 0.3F}, {0.0F, 0.3F}}) {
-      scene.positions.emplace_back(left + x, y, 0.0F);
+    for (std::uint32_t cell = 0; cell < kCells * kCells; ++cell) {
+      const auto first = static_cast<std::uint32_t>(scene.positions.size());
+      const float x = left + kStep * static_cast<float>(cell % kCells);
+      const float y = -0.3F + kStep * static_cast<float>(cell / kCells);
+      for (const auto& [right, up] : {std::pair{0, 0}, {1, 0}, {1, 1}, {0, 1}}) {
+        scene.positions.emplace_back(x + kStep * static_cast<float>(right),
+                                     y + kStep * static_cast<float>(up), 0.0F);
+      }
+      scene.triangles.push_back({{first, first + 1, first + 2}, 0});
+      scene.triangles.push_back({{first, first + 2, first + 3}, 0});
     }
-    scene.triangles.push_back({{first, first + 1, first + 2}, 0});
-    scene.triangles.push_back({{first, first + 2, first + 3}, 0});
   }
+  scene.normals.resize(scene.positions.size(), Vec3(0.0F));
   return scene;
 }
 
@@ -33,7 +42,7 @@ class VoxelViewOfSquares : public ::testing::Test {
  protected:
   void SetUp() override {
     CompileOptions options;
-    options.voxel_size_bytes = 200;  // not both squares in one
+    options.voxel_size_bytes = 4096;  // not both squares in one
     CHECK(compile_scene(two_squares(), "squares", {1, 2}, options, file()).has_value());
     store_.emplace(*Store::open(file()));
     settings_.width = 60;
