@@ -80,6 +80,7 @@ clean_up() {
   rm -rf "$scratch"
 }
 trap clean_up EXIT
+trap 'exit 1' INT TERM
 
 sha_of() { sed -n 's/.*"pixels_sha256": "\([0-9a-f]*\)".*/\1/p' "$1/report.json"; }
 id_of() { compose ps -aq "$1" | head -n "${2:-1}" | tail -n 1; }
