@@ -143,7 +143,7 @@ whole_cluster() {
   check "the master is healthy while it renders" eventually is_healthy
   check "no process is root's" equal \
     "$(for id in $(compose ps -q master worker); do docker top "$id" -eo pid,uid; done |
-       awk '$2 != "UID" {print $2}' | sort -u | tr '\n' ' ')" "10001 "
+       awk 'NF == 2 && $2 != "UID" {print $2}' | sort -u | tr '\n' ' ')" "10001 "
   check "the root file system is read-only" equal \
     "$(docker inspect -f '{{.HostConfig.ReadonlyRootfs}}' "$(id_of master)" "$(id_of worker)" |
        sort -u)" true
