@@ -65,7 +65,7 @@ chmod 755 "$scratch"
 export COMPOSE_PROJECT_NAME=preheat-test-$$ PREHEAT_IMAGE=preheat
 # Small enough for a minute, long enough for something to happen in between.
 export PREHEAT_SCENE=demo:50000
-settings='--size 320x216 --spp 32 --bounces 8 --tile-size 16'
+settings='--size 320x216 --spp 64 --bounces 8 --tile-size 16'
 export PREHEAT_ARGS=$settings
 compose() { docker compose -f docker/compose.yaml "$@"; }
 farm() { docker compose -f docker/cluster.yaml "$@"; }
@@ -80,6 +80,7 @@ clean_up() {
   rm -rf "$scratch"
 }
 trap clean_up EXIT
+trap 'exit 1' INT TERM
 
 sha_of() { sed -n 's/.*"pixels_sha256": "\([0-9a-f]*\)".*/\1/p' "$1/report.json"; }
 id_of() { compose ps -aq "$1" | head -n "${2:-1}" | tail -n 1; }
@@ -106,12 +107,13 @@ begin() {
   quietly compose down --timeout 3
   quietly compose up -d --scale worker="$2"
 }
-# end_well: the render ends with 0 and the image of --local.
+# end_well: the render ends with 0 and the image of --local. Unlike `docker compose wait`, this knows
+# of masters that have ended before they are asked for.
 end_well() {
-  local code=0
-  timeout 300 docker compose -f docker/compose.yaml wait master >/dev/null 2>&1 || code=$?
+  local code
+  code=$(timeout 300 docker wait "$(id_of master)" || true)
   check "the master ends with 0" equal "$code" 0
-  ((code == 0)) || compose logs --tail 20 master
+  [[ $code == 0 ]] || compose logs --tail 20 master
   check "the image is that of --local outside" equal "$(sha_of "$out")" "$expected"
 }
 
@@ -136,10 +138,12 @@ check "starts without a shell" contains "$("${bare[@]}" --network none preheat p
 # whole_cluster WORKERS
 whole_cluster() {
   begin "$1 workers" "$1"
+  timeout 300 docker compose -f docker/compose.yaml wait master >/dev/null 2>&1 &
+  local waiting=$! waited=0
   check "the master is healthy while it renders" eventually is_healthy
   check "no process is root's" equal \
     "$(for id in $(compose ps -q master worker); do docker top "$id" -eo pid,uid; done |
-       awk '$2 != "UID" {print $2}' | sort -u | tr '\n' ' ')" "10001 "
+       awk 'NF == 2 && $2 != "UID" {print $2}' | sort -u | tr '\n' ' ')" "10001 "
   check "the root file system is read-only" equal \
     "$(docker inspect -f '{{.HostConfig.ReadonlyRootfs}}' "$(id_of master)" "$(id_of worker)" |
        sort -u)" true
@@ -147,6 +151,8 @@ whole_cluster() {
     "$(docker inspect -f '{{.HostConfig.Memory}}' "$(id_of worker)")" 1073741824
   check "a worker does not hold the master's key" equal \
     "$(compose exec -T worker find /keys -name 'master.key' | wc -l)" 0
+  wait "$waiting" || waited=$?
+  check "compose gives the master's exit code" equal "$waited" 0
   end_well
   check "nothing was written beside the output and the store" equal \
     "$(docker diff "$(id_of master)")" ""
@@ -160,7 +166,7 @@ whole_cluster() {
 worker_killed() {
   begin "a worker killed" 4
   check "it renders" eventually at_least "done" 5
-  docker kill -s KILL "$(id_of worker 2)" >/dev/null
+  quietly docker kill -s KILL "$(id_of worker 2)" || true
   check "the master notices" eventually at_least lost 1
   end_well
 }
@@ -168,9 +174,9 @@ worker_killed() {
 workers_paused() {
   begin "all workers paused" 2
   check "it renders" eventually at_least "done" 5
-  quietly compose pause worker
+  quietly compose pause worker || true
   check "the master notices" eventually at_least lost 2
-  quietly compose unpause worker
+  quietly compose unpause worker || true
   check "they come back" eventually at_least here 2
   end_well
 }
@@ -178,9 +184,9 @@ workers_paused() {
 worker_cut_off() {
   begin "the only worker cut off" 1
   check "it renders" eventually at_least "done" 5
-  docker network disconnect "${COMPOSE_PROJECT_NAME}_farm" "$(id_of worker)"
+  quietly docker network disconnect "${COMPOSE_PROJECT_NAME}_farm" "$(id_of worker)" || true
   check "the master notices" eventually at_least lost 1
-  docker network connect "${COMPOSE_PROJECT_NAME}_farm" "$(id_of worker)"
+  quietly docker network connect "${COMPOSE_PROJECT_NAME}_farm" "$(id_of worker)" || true
   end_well
 }
 
