@@ -357,8 +357,7 @@ void Renderer::Impl::build_hot_set() {
   for (const VoxelEntry& voxel : tables_.voxels) {
     sizes.push_back({voxel.block_bytes, VoxelMesh::bytes_max(voxel.triangle_count)});
   }
-  cache_.emplace(std::move(sizes), options_.cache_limit_bytes - hot_bytes_,
-                 make_policy());
+  cache_.emplace(std::move(sizes), options_.cache_limit_bytes - hot_bytes_, make_policy());
   residency_ = std::move(residency);
   const TracerContext context{.tables = tables_,
                               .settings = settings_,
