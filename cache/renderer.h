@@ -54,8 +54,9 @@ struct VoxelBytes {
 struct HotSetReady {
   PreloadStats preload{};
 };
-// Rays wait for a voxel that is not held, or it is a warm one. Said once; the owner fetches it and calls deliver, or
-// says it again later itself. Sent only while the cache has promised room for the block.
+// Rays wait for a voxel that is not held, or it is a warm one. Said once; the owner fetches it and
+// calls deliver, or says it again later itself. Sent only while the cache has promised room for the
+// block.
 struct VoxelNeeded {
   VoxelId voxel{};
 };

@@ -1,5 +1,6 @@
-// preheat_simulation_bench: a frame of 3840x2160 pixels and 256 samples on 16, 128 and 1000 workers,
-// simulated from a recorded trace: efficiency, what it is lost to, origin load and preload time.
+// preheat_simulation_bench: a frame of 3840x2160 pixels and 256 samples on 16, 128 and 1000
+// workers, simulated from a recorded trace: efficiency, what it is lost to, origin load and preload
+// time.
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
