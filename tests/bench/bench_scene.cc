@@ -1,10 +1,7 @@
 #include "tests/bench/bench_scene.h"
 
-#include <fmt/format.h>
-
 #include <algorithm>
 #include <filesystem>
-#include <fstream>
 #include <thread>
 #include <utility>
 
@@ -64,15 +61,6 @@ Result<AccessTrace> trace_of(const BenchSceneOptions& options, const BenchScene&
     if (auto saved = trace->save(options.trace); !saved) { return tl::unexpected(saved.error()); }
   }
   return trace;
-}
-
-Result<void> write_text(const std::string& file, const std::string& text) {
-  std::ofstream out(file);
-  out << text;
-  if (!out.flush()) {
-    return fail(ExitCode::kOutputUnwritable, fmt::format("{} cannot be written", file));
-  }
-  return {};
 }
 
 }  // namespace preheat

@@ -45,7 +45,4 @@ inline constexpr std::uint32_t kBenchTileSize = 32;
 [[nodiscard]] Result<AccessTrace> trace_of(const BenchSceneOptions& options,
                                            const BenchScene& scene);
 
-// Writes the text, or ends the program with a message and the documented exit code.
-[[nodiscard]] Result<void> write_text(const std::string& file, const std::string& text);
-
 }  // namespace preheat

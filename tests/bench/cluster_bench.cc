@@ -5,7 +5,6 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
-#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <string>
@@ -16,6 +15,7 @@
 #include "master/file_output.h"
 #include "tests/bench/cluster_page.h"
 #include "tests/bench/cluster_sections.h"
+#include "tests/scenes/scratch_folder.h"
 
 namespace preheat {
 namespace {
@@ -50,25 +50,6 @@ BenchView parse_view(const std::string& text) {
   if (hash != std::string::npos) { view.camera = text.substr(hash + 1); }
   return view;
 }
-
-// A folder that ends with the process.
-class Scratch {
- public:
-  Scratch() {
-    std::string name = (fs::temp_directory_path() / "preheat_bench_XXXXXX").string();
-    if (::mkdtemp(name.data()) != nullptr) { folder_ = name; }
-  }
-  ~Scratch() {
-    std::error_code ignored;
-    if (!folder_.empty()) { fs::remove_all(folder_, ignored); }
-  }
-  Scratch(const Scratch&) = delete;
-  Scratch& operator=(const Scratch&) = delete;
-  [[nodiscard]] const std::string& folder() const { return folder_; }
-
- private:
-  std::string folder_{};
-};
 
 struct Output {
   std::string json = "out/bench.json";
@@ -144,12 +125,8 @@ int main_of(int argument_count, char** arguments) {
     }
   }
   for (const std::string& view : views) { settings.views.push_back(parse_view(view)); }
-  const Scratch scratch;
-  if (scratch.folder().empty()) {
-    spdlog::error("cannot make a folder in {}", fs::temp_directory_path().string());
-    return 1;
-  }
-  settings.scratch = scratch.folder();
+  const test::ScratchFolder scratch;
+  settings.scratch = scratch.path().string();
   return run(settings, chosen, output);
 }
 

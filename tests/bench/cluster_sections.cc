@@ -5,18 +5,18 @@
 
 #include <algorithm>
 #include <filesystem>
-#include <fstream>
-#include <iterator>
 #include <optional>
 
 #include "master/image_compare.h"
 #include "tests/bench/program_run.h"
+#include "tests/scenes/scratch_folder.h"
 
 namespace preheat {
 namespace {
 
 namespace fs = std::filesystem;
 using nlohmann::ordered_json;
+using test::read_file;
 
 using Arguments = std::vector<std::string>;
 
@@ -34,13 +34,8 @@ Arguments view_arguments(const BenchSettings& settings, const BenchView& view, u
 const Arguments kLocal{"--local", "--threads", "2", "--count-accesses", "none"};
 const Arguments kTwoWorkers{"--workers", "2", "--threads", "1"};
 
-std::string text_of(const fs::path& file) {
-  std::ifstream stream(file);
-  return {std::istreambuf_iterator<char>(stream), {}};
-}
-
 Result<ordered_json> read_json(const fs::path& file) {
-  ordered_json json = ordered_json::parse(text_of(file), nullptr, /*allow_exceptions=*/false);
+  ordered_json json = ordered_json::parse(read_file(file), nullptr, /*allow_exceptions=*/false);
   if (json.is_discarded()) {
     return fail(ExitCode::kFailed, fmt::format("{} is not JSON", file.string()));
   }
@@ -79,7 +74,7 @@ Result<Render> render(const BenchSettings& settings, const Arguments& arguments,
   if (!run) { return tl::unexpected(run.error()); }
   if (run->exit_code != 0) {
     return fail(ExitCode::kFailed, fmt::format("{} ended with {}:\n{}", fmt::join(command, " "),
-                                               run->exit_code, text_of(log)));
+                                               run->exit_code, read_file(log)));
   }
   render.run = *run;
   Result<ordered_json> read = read_json(report);
@@ -269,7 +264,7 @@ BenchRows measure_limited_links(const BenchSettings& settings) {
   const Result<ProgramRun> possible = run_program({"bash", script.string(), "check"}, log);
   if (!possible) { return tl::unexpected(possible.error()); }
   if (possible->exit_code != 0) {
-    spdlog::warn("(f) skipped: {}", text_of(log));
+    spdlog::warn("(f) skipped: {}", read_file(log));
     return rows;
   }
   for (const BenchView& view : settings.views) {
@@ -357,7 +352,7 @@ BenchRows measure_scaling(const BenchSettings& settings) {
     if (!compiled) { return tl::unexpected(compiled.error()); }
     if (compiled->exit_code != 0) {
       return fail(ExitCode::kFailed, fmt::format("compile {} ended with {}:\n{}", scene,
-                                                 compiled->exit_code, text_of(log)));
+                                                 compiled->exit_code, read_file(log)));
     }
     const Result<Render> spread = render(
         settings, Arguments{store.string(), "--size", settings.size, "--spp", "8"} + kTwoWorkers);

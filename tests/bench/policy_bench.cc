@@ -11,6 +11,7 @@
 #include <nlohmann/json.hpp>
 
 #include "common/check.h"
+#include "master/file_output.h"
 #include "tests/bench/belady_policy.h"
 #include "tests/bench/bench_scene.h"
 #include "tests/bench/cache_replay.h"
@@ -158,7 +159,7 @@ Result<void> run(const Options& options) {
     if (!trace) { return tl::unexpected(trace.error()); }
     report["trace"] = trace_tables(options, *scene, *trace);
   }
-  return options.json.empty() ? Result<void>{} : write_text(options.json, report.dump(1) + '\n');
+  return options.json.empty() ? Result<void>{} : write_output(options.json, report.dump(1) + '\n');
 }
 
 }  // namespace

@@ -9,6 +9,7 @@
 #include <cstdio>
 #include <nlohmann/json.hpp>
 
+#include "master/file_output.h"
 #include "tests/bench/bench_scene.h"
 #include "tests/bench/cluster_simulation.h"
 
@@ -126,7 +127,7 @@ Result<void> run(const Options& options) {
       }
     }
   }
-  return options.json.empty() ? Result<void>{} : write_text(options.json, rows.dump(1) + '\n');
+  return options.json.empty() ? Result<void>{} : write_output(options.json, rows.dump(1) + '\n');
 }
 
 }  // namespace
