@@ -18,7 +18,11 @@
 
 namespace preheat {
 
-enum class ChannelKind : std::uint8_t { kControl = 0, kBulk = 1 };
+enum class ChannelKind : std::uint8_t {
+  kControl = 0,
+  kBulk = 1,
+  kPeer = 2  // as bulk, between workers
+};
 
 // Bytes and what keeps them alive. Without an owner they outlive the transport (the mapped store).
 struct Payload {

@@ -30,7 +30,8 @@ using RoutingId = std::array<std::byte, kRoutingIdBytes>;
 RoutingId routing_id(ChannelKind kind, const SessionId& session) {
   RoutingId id{};
   // ZeroMQ keeps ids that begin with a zero byte for itself.
-  id[0] = kind == ChannelKind::kControl ? std::byte{'C'} : std::byte{'B'};
+  constexpr std::array<std::byte, 3> kNames{std::byte{'C'}, std::byte{'B'}, std::byte{'P'}};
+  id[0] = kNames[static_cast<std::size_t>(kind)];
   std::memcpy(&id[1], &session.low, 8);
   std::memcpy(&id[9], &session.high, 8);
   return id;

@@ -39,6 +39,7 @@ struct RenderOptions {
   std::string listen{};
   unsigned wait_workers = 1;
   bool insecure_no_auth = false;
+  bool no_peers = false;
   std::string ledger{};
   CacheSize cache{};
   std::string cache_text = "25%";
@@ -90,6 +91,7 @@ MasterOptions master_options(const RenderOptions& options) {
   master.count_accesses = options.count_accesses;
   master.worker_program = worker_program();
   master.insecure_no_auth = options.insecure_no_auth;
+  master.peers = !options.no_peers;
   master.ledger_file = options.ledger;
   return master;
 }
@@ -107,6 +109,7 @@ nlohmann::ordered_json settings_of(const RenderOptions& options) {
       {"isa", tracing_isa()}};
   if (!options.local) {
     settings["cache"] = options.cache_text;
+    settings["peers"] = !options.no_peers;
     settings["preload"] = options.preload;
     settings["preload_share"] = options.preload_share < 0.0
                                     ? nlohmann::ordered_json("auto")
@@ -222,6 +225,10 @@ void add_worker_options(CLI::App& command, RenderOptions& options) {
                 "Allow --listen on an address that is not loopback: nothing is encrypted or "
                 "authenticated")
       ->needs(listen)
+      ->group(kGroup);
+  command
+      .add_flag("--no-peers", options.no_peers,
+                "Every voxel comes from here: workers pass none on to each other")
       ->group(kGroup);
   command
       .add_option("--ledger", options.ledger,

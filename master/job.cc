@@ -8,6 +8,7 @@
 #include "common/check.h"
 #include "common/content_hash.h"
 #include "common/tile_codec.h"
+#include "master/home_assignment.h"
 
 namespace preheat {
 namespace {
@@ -159,6 +160,15 @@ void Job::handle_hello(const SessionId& from, const Hello& hello, Time now) {
   worker->stalled = false;
   worker->heard_last = now;
   worker->assemblies.clear();
+  const bool is_new = worker->peer.worker == kNoWorker;
+  worker->peer = peer_address(*worker, hello);
+  worker->homes_version = 0;
+  homes_stale_ = true;
+  // One that comes back may have children of its own, who must not become its parents.
+  if (Worker* const parent = is_new ? find_parent(*worker) : nullptr) {
+    worker->parent = parent->id;
+    ++parent->children;
+  }
   if (!first_worker_) { first_worker_ = now; }
   spdlog::info("event=worker_joined worker={} pid={} threads={} cache_bytes={} hot_voxels={}",
                index_of(worker->id), hello.process_id, hello.threads,
@@ -180,6 +190,8 @@ void Job::welcome(const Worker& worker) {
   welcome.tables_hash = scene_.tables_hash;
   welcome.plan_bytes = worker.plan.hot->bytes.size();
   welcome.plan_hash = worker.plan.hot->hash;
+  welcome.home_bytes = worker.plan.home_bytes;
+  if (worker.parent != kNoWorker) { welcome.parent = workers_[index_of(worker.parent)]->peer; }
   send(worker, ChannelKind::kControl, welcome);
 }
 
@@ -190,11 +202,16 @@ void Job::handle(Worker& worker, const Ready& ready, Time now) {
   spdlog::info("event=worker_ready worker={} voxels={} bytes={} seconds={:.3f}",
                index_of(worker.id), ready.preload.voxels, ready.preload.bytes,
                ready.preload.seconds);
-  grant_to(worker, now);
+  grant_to(worker, ready_count(), now);
 }
 
 void Job::handle(Worker& worker, const WorkerHeartbeat& heartbeat, Time now) {
   worker.stats = heartbeat.stats;
+  worker.homes_version = heartbeat.homes_version;
+  if (worker.homes_version != homes_version_ &&
+      now - worker.homes_told >= 2 * options_.timers.heartbeat) {
+    tell_homes(worker, now);
+  }
   if (heartbeat.progress != worker.progress) {
     worker.progress = heartbeat.progress;
     worker.stalled = false;
@@ -235,6 +252,7 @@ void Job::handle(Worker& worker, const Fault& fault, Time now) {
 void Job::handle(Worker& worker, const Goodbye& goodbye, Time now) {
   worker.stats = goodbye.stats;
   worker.presence = Presence::kAbsent;
+  homes_stale_ = true;
   worker.assemblies.clear();
   leases_.remove_worker(worker.id);
   spdlog::info("event=worker_left worker={} tiles={}", index_of(worker.id), goodbye.stats.tiles);
@@ -254,6 +272,7 @@ void Job::lose(Worker& worker, Loss loss, const char* why, Time now) {
   note(R"({{"event":"lost","time":{:.6f},"worker":{},"leases":{}}})", seconds(now - begin_),
        index_of(worker.id), leases_.held_count(worker.id));
   worker.presence = Presence::kAbsent;
+  homes_stale_ = true;
   worker.assemblies.clear();
   if (loss == Loss::kSilent) {
     leases_.remove_worker(worker.id);
@@ -291,6 +310,10 @@ void Job::on_bulk(const SessionId& from, const Envelope& frame, const Payload& d
   worker->heard_last = now;
   if (const auto* request = std::get_if<RangeRequest>(&frame.message)) {
     if (std::optional<Payload> bytes = scene_.server.answer(*request, worker->plan.hot)) {
+      if (request->object == BulkObject::kVoxel) {
+        (worker->presence == Presence::kReady ? origin_.remote_bytes : origin_.preload_bytes) +=
+            bytes->bytes.size();
+      }
       send(*worker, ChannelKind::kBulk,
            RangeReply{request->object, request->voxel, request->offset}, std::move(*bytes));
     }
@@ -366,30 +389,32 @@ void Job::take_tile(Worker& worker, const TileChunk& chunk, const Assembly& asse
          Cancel{{{verdict.cancelled->second}}});
   }
   send(worker, ChannelKind::kControl, ResultAck{chunk.lease});
-  grant_to(worker, now);
+  grant_to(worker, ready_count(), now);
 }
 
-std::size_t Job::leases_wanted(const Worker& worker) const {
+std::size_t Job::ready_count() const {
+  return static_cast<std::size_t>(
+      std::count_if(workers_.begin(), workers_.end(),
+                    [](const auto& worker) { return worker->presence == Presence::kReady; }));
+}
+
+std::size_t Job::leases_wanted(const Worker& worker, std::size_t ready) const {
   const std::size_t least = 2 * worker.threads + 1;
   const std::uint64_t samples_per_tile =
       std::uint64_t{options_.tile_size} * options_.tile_size * options_.settings.spp;
   const std::uint64_t deep = least + 2 * worker.threads * kPathsPerThread / samples_per_tile;
-  const auto ready = std::count_if(workers_.begin(), workers_.end(), [](const auto& other) {
-    return other->presence == Presence::kReady;
-  });
   const std::uint64_t open = grid_.count() - leases_.tiles_committed();
-  const std::uint64_t fair =
-      open / (2 * std::max<std::uint64_t>(1, static_cast<std::uint64_t>(ready)));
+  const std::uint64_t fair = open / (2 * std::max<std::uint64_t>(1, ready));
   return std::max<std::size_t>(least, std::min({deep, fair, std::uint64_t{kLeasesPerWorkerMax}}));
 }
 
-void Job::grant_to(Worker& worker, Time now) {
+void Job::grant_to(Worker& worker, std::size_t ready, Time now) {
   if (phase_ != Phase::kRendering || worker.presence != Presence::kReady || worker.stalled ||
       now - worker.heard_last >= options_.timers.suspect) {
     return;
   }
   Grant grant;
-  const std::size_t wanted = leases_wanted(worker);
+  const std::size_t wanted = leases_wanted(worker, ready);
   while (leases_.held_count(worker.id) < wanted) {
     const std::optional<Lease> lease = leases_.grant(worker.id, now);
     if (!lease) { break; }
@@ -403,7 +428,8 @@ void Job::grant_to(Worker& worker, Time now) {
 }
 
 void Job::grant_to_all(Time now) {
-  for (const auto& worker : workers_) { grant_to(*worker, now); }
+  const std::size_t ready = ready_count();
+  for (const auto& worker : workers_) { grant_to(*worker, ready, now); }
 }
 
 void Job::tick(Time now) {
@@ -421,6 +447,78 @@ void Job::tick(Time now) {
   watch_leases(now);
   watch_phase(now);
   grant_to_all(now);
+  plan_homes(now);
+}
+
+PeerAddress Job::peer_address(const Worker& worker, const Hello& hello) const {
+  PeerAddress peer{worker.id, worker.session, {}};
+  const std::string& endpoint = hello.peer_endpoint.text;
+  if (!options_.peers || endpoint.empty()) { return peer; }
+  if (const auto fine = check_endpoint(endpoint, options_.insecure_no_auth); fine) {
+    peer.endpoint.text = endpoint;
+  } else {
+    spdlog::warn("event=peer_address_refused worker={} reason=\"{}\"", index_of(worker.id),
+                 fine.error().message);
+  }
+  return peer;
+}
+
+Job::Worker* Job::find_parent(const Worker& child) {
+  if (child.plan.hot->bytes.empty()) { return nullptr; }
+  for (const auto& other : workers_) {
+    const bool passes_on = other->presence == Presence::kPreparing &&
+                           other->plan.hot == child.plan.hot &&
+                           !other->peer.endpoint.text.empty() && other->children < kChildrenMax;
+    if (passes_on && other->id != child.id) { return other.get(); }
+  }
+  return nullptr;
+}
+
+void Job::plan_homes(Time now) {
+  if (!homes_stale_ || phase_ != Phase::kRendering || scene_.voxels.empty() ||
+      now - homes_planned_ < options_.timers.plan_gap) {
+    return;
+  }
+  homes_stale_ = false;
+  homes_planned_ = now;
+  HomePlan plan;
+  std::vector<HomeCandidate> candidates;
+  // What everybody holds already needs no home.
+  std::vector<std::size_t> hot_count(scene_.voxels.size());
+  std::map<const EncodedPlan*, std::size_t> holders;
+  for (const auto& worker : workers_) {
+    if (worker->presence == Presence::kAbsent || worker->peer.endpoint.text.empty()) { continue; }
+    plan.peers.push_back(worker->peer);
+    candidates.push_back({worker->id, worker->plan.home_bytes});
+    ++holders[worker->plan.hot.get()];
+  }
+  for (const auto& [hot, count] : holders) {
+    for (const VoxelId voxel : hot->voxels()) { hot_count[index_of(voxel)] += count; }
+  }
+  std::vector<double> fetches = scene_.fetches;
+  for (std::size_t voxel = 0; voxel < fetches.size(); ++voxel) {
+    if (candidates.size() < 2 || hot_count[voxel] == candidates.size()) { fetches[voxel] = 0.0; }
+  }
+  plan.homes = assign_homes(candidates, fetches, scene_.voxels, home_of_);
+  home_of_.assign(scene_.voxels.size(), kNoWorker);
+  for (std::size_t voxel = 0; voxel < plan.homes.size(); ++voxel) {
+    if (plan.homes[voxel] == HomePlan::kNoHome) { continue; }
+    home_of_[voxel] = plan.peers[HomePlan::index(plan.homes[voxel])].worker;
+  }
+  auto encoded = std::make_shared<EncodedPlan>();
+  encoded->bytes = encode_home_plan(plan);
+  encoded->hash = content_hash(encoded->bytes);
+  homes_ = std::move(encoded);
+  scene_.server.set_homes(++homes_version_, homes_);
+  for (const auto& worker : workers_) {
+    if (worker->presence != Presence::kAbsent) { tell_homes(*worker, now); }
+  }
+}
+
+void Job::tell_homes(Worker& worker, Time now) {
+  worker.homes_told = now;
+  send(worker, ChannelKind::kControl,
+       PeersChanged{homes_version_, homes_->bytes.size(), homes_->hash});
 }
 
 void Job::watch_workers(Time now) {
@@ -526,6 +624,7 @@ Result<MasterResult> Job::take_result() {
   if (error_) { return tl::unexpected(*error_); }
   MasterResult result{.film = std::move(film_)};
   result.leases = leases_.stats();
+  result.origin = origin_;
   for (const auto& worker : workers_) { result.workers.push_back(worker->stats); }
   result.poisoned_tiles = leases_.poisoned();
   if (first_lease_) {

@@ -52,7 +52,7 @@ class LocalRender {
       }
       report_progress();
     }
-    MasterResult result{std::move(film_), {}, {renderer_.stats()}, 0.0, 0.0};
+    MasterResult result{.film = std::move(film_), .workers = {renderer_.stats()}};
     result.preload_seconds = preload_seconds_ > 0.0 ? preload_seconds_ : 0.0;
     result.render_seconds = seconds_since(began) - result.preload_seconds;
     result.accesses_by_voxel = accesses_by_voxel();

@@ -39,6 +39,7 @@ struct MasterOptions {
   std::uint32_t tile_size = 32;
   AccessCounting count_accesses = AccessCounting::kSampled;
   std::string worker_program{};   // path of preheat-worker
+  bool peers = true;              // workers pass voxels on to each other
   bool insecure_no_auth = false;  // listen elsewhere than on loopback
   std::string ledger_file{};      // one JSON line per lease, result, join and leave; empty = none
 };
@@ -60,9 +61,16 @@ struct LeaseStats {
   std::uint64_t mismatches = 0;
 };
 
+// What the master sent of voxels: to workers that were being prepared, and to those at work.
+struct OriginStats {
+  std::uint64_t preload_bytes = 0;
+  std::uint64_t remote_bytes = 0;
+};
+
 struct MasterResult {
   Film film;
   LeaseStats leases{};
+  OriginStats origin{};
   std::vector<WorkerStats> workers{};  // by WorkerId; lost workers keep their last word
   double preload_seconds = 0.0;        // first worker accepted to first tile begun
   double render_seconds = 0.0;

@@ -1,6 +1,6 @@
 // Answers range requests from the mapped store, without a copy: the origin of every voxel.
 //
-// Threads: immutable after construction.
+// Threads: one owner.
 #pragma once
 
 #include <cstddef>
@@ -16,10 +16,13 @@
 
 namespace preheat {
 
-// The hot voxels of one worker's cache size, as they travel: ids in order, u32 little-endian.
+// A plan as it travels: the hot voxels of one worker's cache size, ids in order, u32 little-endian;
+// or the homes of all workers' cold ones (home_plan.h).
 struct EncodedPlan {
   std::vector<std::byte> bytes{};
   Hash128 hash{};
+  // Of a plan of hot voxels.
+  [[nodiscard]] std::vector<VoxelId> voxels() const;
 };
 
 class VoxelServer {
@@ -29,6 +32,12 @@ class VoxelServer {
               std::function<std::span<const std::byte>(VoxelId)> block)
       : tables_(tables), voxel_count_(voxel_count), block_(std::move(block)) {}
 
+  // The plan of homes that is followed from now on.
+  void set_homes(std::uint32_t version, std::shared_ptr<const EncodedPlan> homes) {
+    homes_version_ = version;
+    homes_ = std::move(homes);
+  }
+
   // The bytes asked for; nothing if there are none such.
   [[nodiscard]] std::optional<Payload> answer(const RangeRequest& request,
                                               const std::shared_ptr<const EncodedPlan>& plan) const;
@@ -36,6 +45,8 @@ class VoxelServer {
  private:
   std::span<const std::byte> tables_;
   std::size_t voxel_count_;
+  std::uint32_t homes_version_ = 0;
+  std::shared_ptr<const EncodedPlan> homes_{};
   std::function<std::span<const std::byte>(VoxelId)> block_;
 };
 

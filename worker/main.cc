@@ -75,6 +75,9 @@ int main(int argc, char** argv) {
                  "Seconds without a word from the master before giving up")
       ->check(CLI::Range(0.1, 1e6))
       ->capture_default_str();
+  app.add_option("--peer-listen", options.peer_listen,
+                 "Where other workers ask this one for voxels, tcp://HOST:PORT, port 0 = any; "
+                 "without it any port of the address that the way to the master begins at");
   app.add_flag("--insecure-no-auth", options.insecure_no_auth,
                "Allow an address that is not loopback: nothing is encrypted or authenticated");
   app.set_version_flag("--version", std::string("preheat-worker ") + preheat::build_version());

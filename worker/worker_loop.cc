@@ -9,6 +9,7 @@
 #include <chrono>
 #include <csignal>
 #include <deque>
+#include <map>
 #include <memory>
 #include <optional>
 #include <utility>
@@ -17,6 +18,7 @@
 #include "cache/renderer.h"
 #include "common/self_test.h"
 #include "common/zmq_transport.h"
+#include "worker/local_address.h"
 #include "worker/worker_session.h"
 
 namespace preheat {
@@ -26,8 +28,45 @@ constexpr std::chrono::milliseconds kWait{50};
 constexpr std::chrono::milliseconds kWaitWhileFull{5};
 constexpr std::size_t kReceivedPerTurn = 64;
 constexpr std::size_t kQueuedMax = 1024;
+constexpr std::size_t kQueuedPerPeerMax = PeerServer::kWaitingPerPeerMax;
 
-Hello hello_of(const WorkerOptions& options) {
+// Where others reach this worker. Without a wish of the user's it does without, if it must.
+struct PeerListener {
+  std::unique_ptr<Channel> channel{};
+  std::string endpoint{};
+};
+
+bool is_any_address(const std::string& host) {
+  return host == "*" || host == "0.0.0.0" || host == "[::]";
+}
+
+Result<PeerListener> listen_for_peers(Transport& transport, const WorkerOptions& options,
+                                      const Endpoint& master) {
+  const auto begin = [&]() -> Result<PeerListener> {
+    Result<std::string> own = local_address_towards(master);
+    Endpoint wish{own ? *own : std::string{}, 0};
+    if (!options.peer_listen.empty()) {
+      const Result<Endpoint> asked = check_endpoint(options.peer_listen, options.insecure_no_auth);
+      if (!asked) { return tl::unexpected(asked.error()); }
+      wish = *asked;
+    }
+    if (!own && (wish.host.empty() || is_any_address(wish.host))) {
+      return tl::unexpected(own.error());
+    }
+    auto channel = transport.listen(wish.text(), ChannelKind::kPeer);
+    if (!channel) { return tl::unexpected(channel.error()); }
+    const Result<Endpoint> bound = parse_endpoint((*channel)->endpoint());
+    if (!bound) { return tl::unexpected(bound.error()); }
+    const Endpoint told{is_any_address(wish.host) ? *own : wish.host, bound->port};
+    return PeerListener{std::move(*channel), told.text()};
+  };
+  Result<PeerListener> listener = begin();
+  if (listener || !options.peer_listen.empty()) { return listener; }
+  spdlog::warn("event=no_peer_socket reason=\"{}\"", listener.error().message);
+  return PeerListener{};
+}
+
+Hello hello_of(const WorkerOptions& options, const std::string& peer_endpoint) {
   Hello hello;
   hello.session = random_session();
   hello.build.text = build_version();
@@ -38,17 +77,22 @@ Hello hello_of(const WorkerOptions& options) {
   hello.cache_share = options.cache_share;
   hello.cache_bytes = options.cache_bytes;
   hello.process_id = static_cast<std::uint32_t>(::getpid());
+  hello.peer_endpoint.text = peer_endpoint;
   return hello;
 }
 
 class WorkerLoop {
  public:
-  WorkerLoop(const WorkerOptions& options, Endpoint master, const Hello& hello, int wake_fd)
+  WorkerLoop(const WorkerOptions& options, Endpoint master, const Hello& hello, int wake_fd,
+             std::unique_ptr<Transport> transport, std::unique_ptr<Channel> peers_in)
       : master_(std::move(master)),
         session_id_(hello.session),
         wake_fd_(wake_fd),
+        insecure_no_auth_(options.insecure_no_auth),
         session_(hello, Timers{}.scaled(time_scale()), from_seconds(options.give_up_seconds),
-                 Clock::now()) {}
+                 Clock::now()),
+        transport_(std::move(transport)),
+        peers_in_(std::move(peers_in)) {}
 
   Result<void> run(const std::atomic<int>& stop_signal) {
     auto control = transport_->connect(master_.text(), ChannelKind::kControl, session_id_);
@@ -72,6 +116,7 @@ class WorkerLoop {
     tell_counts();
     receive(control_.get(), ChannelKind::kControl);
     receive(bulk_.get(), ChannelKind::kBulk);
+    receive_from_peers();
     if (renderer_) {
       for (RendererEvent& event : renderer_->take_events()) {
         std::visit([this](auto& what) { on(what); }, event);
@@ -111,6 +156,29 @@ class WorkerLoop {
     }
   }
 
+  void receive_from_peers() {
+    for (std::size_t i = 0; peers_in_ && i < kReceivedPerTurn; ++i) {
+      const std::optional<Received> received = peers_in_->receive();
+      if (!received) { break; }
+      // Whoever sends no sense is not answered.
+      const auto frame = decode_frame(received->head.bytes);
+      if (frame) { session_.on_peer_request(received->session, *frame, Clock::now()); }
+    }
+    for (auto& [key, link] : peers_out_) {
+      for (std::size_t i = 0; i < kReceivedPerTurn; ++i) {
+        const std::optional<Received> received = link.channel->receive();
+        if (!received) { break; }
+        const auto frame = decode_frame(received->head.bytes);
+        if (frame) {
+          session_.on_peer_answer(link.session, *frame, received->data, Clock::now());
+        } else {
+          session_.on_peer_nonsense(link.session, Clock::now());
+        }
+      }
+      if (link.channel->dropped() > 0) { session_.on_peer_nonsense(link.session, Clock::now()); }
+    }
+  }
+
   void act() {
     for (WorkerAction& action : session_.take_actions()) {
       std::visit([this](auto& what) { perform(what); }, action);
@@ -129,6 +197,16 @@ class WorkerLoop {
     std::erase_if(queued_,
                   [](const Queued& queued) { return queued.channel == ChannelKind::kBulk; });
   }
+  void perform(const ConnectPeer& connect) {
+    const PeerAddress& peer = connect.peer;
+    // The master's word does not open what the user keeps shut. Who cannot be reached is silent.
+    const Result<Endpoint> endpoint = check_endpoint(peer.endpoint.text, insecure_no_auth_);
+    if (!endpoint) { return; }
+    auto channel = transport_->connect(endpoint->text(), ChannelKind::kPeer, session_id_);
+    if (!channel) { return; }
+    peers_out_[key_of(peer.session)] = {peer.session, std::move(*channel), {}};
+  }
+  void perform(const DisconnectPeer& disconnect) { peers_out_.erase(key_of(disconnect.session)); }
   void perform(StartRenderer& start) {
     renderer_.reset();
     renderer_ = std::make_unique<Renderer>(std::move(start.tables), start.settings, start.options,
@@ -152,9 +230,59 @@ class WorkerLoop {
     std::vector<std::byte> head{};
     Payload data{};
   };
+  using SessionKey = std::pair<std::uint64_t, std::uint64_t>;
+  static SessionKey key_of(const SessionId& session) { return {session.low, session.high}; }
+  struct PeerLink {
+    SessionId session{};
+    std::unique_ptr<Channel> channel{};
+    std::deque<Queued> queued{};
+  };
+
+  // What does not fit is lost: who waits for it looks elsewhere.
+  static void add_to(std::deque<Queued>& queue, Queued queued) {
+    if (queue.size() < kQueuedPerPeerMax) { queue.push_back(std::move(queued)); }
+  }
+  // True if nothing is left.
+  static bool flush(Channel& channel, const SessionId& to, std::deque<Queued>& queue) {
+    while (!queue.empty()) {
+      const SendOutcome outcome = channel.send(to, queue.front().head, queue.front().data);
+      if (outcome == SendOutcome::kFull) { return false; }
+      if (outcome == SendOutcome::kGone) {
+        queue.clear();
+        break;
+      }
+      queue.pop_front();
+    }
+    return true;
+  }
+
+  void send_to_peers() {
+    for (PeerAnswer& answer : session_.take_answers()) {
+      add_to(answers_[key_of(answer.to)],
+             {ChannelKind::kPeer, encode_frame(session_.job(), answer.message),
+              std::move(answer.data)});
+    }
+    peers_full_ = false;
+    for (auto entry = answers_.begin(); entry != answers_.end();) {
+      const bool empty =
+          flush(*peers_in_, {entry->first.first, entry->first.second}, entry->second);
+      peers_full_ = peers_full_ || !empty;
+      entry = empty ? answers_.erase(entry) : std::next(entry);
+    }
+    for (auto& [key, link] : peers_out_) {
+      peers_full_ = !flush(*link.channel, link.session, link.queued) || peers_full_;
+    }
+  }
 
   void send() {
     for (Outgoing& outgoing : session_.take_outgoing()) {
+      if (outgoing.channel == ChannelKind::kPeer) {
+        const auto link = peers_out_.find(key_of(outgoing.to));
+        if (link == peers_out_.end()) { continue; }
+        add_to(link->second.queued,
+               {ChannelKind::kPeer, encode_frame(session_.job(), outgoing.message), {}});
+        continue;
+      }
       // A Hello is not about a job yet; everything is repeated where it matters, so a full queue
       // may drop it.
       if (queued_.size() == kQueuedMax) { break; }
@@ -173,12 +301,16 @@ class WorkerLoop {
       later.push_back(std::move(queued));
     }
     queued_ = std::move(later);
+    send_to_peers();
   }
 
   void wait() {
     std::vector<Channel*> channels{control_.get()};
     if (bulk_) { channels.push_back(bulk_.get()); }
-    transport_->wait(channels, wake_fd_, queued_.empty() ? kWait : kWaitWhileFull);
+    if (peers_in_) { channels.push_back(peers_in_.get()); }
+    for (const auto& [key, link] : peers_out_) { channels.push_back(link.channel.get()); }
+    const bool full = !queued_.empty() || peers_full_;
+    transport_->wait(channels, wake_fd_, full ? kWaitWhileFull : kWait);
     std::uint64_t wakes = 0;
     static_cast<void>(!::read(wake_fd_, &wakes, sizeof wakes));
   }
@@ -196,11 +328,16 @@ class WorkerLoop {
   Endpoint master_;
   SessionId session_id_;
   int wake_fd_;
+  bool insecure_no_auth_;
   WorkerSession session_;
-  std::unique_ptr<Transport> transport_ = make_zmq_transport();
+  std::unique_ptr<Transport> transport_;
   std::unique_ptr<Channel> control_;
   std::unique_ptr<Channel> bulk_;
   std::deque<Queued> queued_;
+  std::unique_ptr<Channel> peers_in_;         // others ask here
+  std::map<SessionKey, PeerLink> peers_out_;  // whom this worker asks
+  std::map<SessionKey, std::deque<Queued>> answers_;
+  bool peers_full_ = false;
   std::optional<Finish> finish_;
   std::unique_ptr<Renderer> renderer_;  // last, so that its threads end before what they wake
 };
@@ -216,7 +353,12 @@ Result<void> run_worker(const WorkerOptions& options, const std::atomic<int>& st
         ExitCode::kUsage,
         fmt::format("bad address \"{}\": a worker needs the master's port", options.connect));
   }
-  WorkerLoop loop{options, std::move(*master), hello_of(options), wake_fd};
+  std::unique_ptr<Transport> transport = make_zmq_transport();
+  Result<PeerListener> peers = listen_for_peers(*transport, options, *master);
+  if (!peers) { return tl::unexpected(peers.error()); }
+  const Hello hello = hello_of(options, peers->endpoint);
+  WorkerLoop loop{options, std::move(*master),   hello,
+                  wake_fd, std::move(transport), std::move(peers->channel)};
   return loop.run(stop_signal);
 }
 

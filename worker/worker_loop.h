@@ -20,6 +20,8 @@ struct WorkerOptions {
   unsigned threads = 1;
   double give_up_seconds = 60.0;  // without a word from the master
   bool insecure_no_auth = false;
+  // Where other workers ask for voxels; empty: a port beside the own end of the way to the master.
+  std::string peer_listen{};
 };
 
 // `stop_signal` is set by a signal handler (0 = none), which also makes `wake_fd`, an eventfd,

@@ -5,6 +5,8 @@
 #include <limits>
 #include <random>
 
+#include "common/home_plan.h"
+
 namespace preheat {
 namespace {
 
@@ -62,7 +64,10 @@ std::vector<Message> one_of_each() {
           RangeRequest{BulkObject::kVoxel, VoxelId{3}, 262144, 1000},
           RangeReply{BulkObject::kPlan, VoxelId{0}, 0},
           TileChunk{LeaseId{1}, TileId{2}, 0, 16384, {5, 6}},
-          TileChunkAck{LeaseId{1}, 0}};
+          TileChunkAck{LeaseId{1}, 0},
+          PeersChanged{3, 1000, {4, 5}},
+          VoxelAbsent{VoxelId{7}, WorkerId{2}},
+          VoxelLater{}};
 }
 
 TEST(Codec, EveryMessageComesBackAsItWentOut) {
@@ -134,6 +139,11 @@ TEST(Codec, RefusesValuesOutOfRange) {
   welcome.settings.view.forward.y = std::numeric_limits<float>::quiet_NaN();
   bad.emplace_back(welcome);
   welcome = some_welcome();
+  welcome.home_bytes = welcome.cache_limit_bytes + 1;
+  bad.emplace_back(welcome);
+  bad.emplace_back(PeersChanged{0, 1000, {}});
+  bad.emplace_back(PeersChanged{1, kHomePlanBytesMax + 1, {}});
+  welcome = some_welcome();
   welcome.settings.width = welcome.settings.height = 65536;  // 2^32 pixels
   bad.emplace_back(welcome);
   welcome = some_welcome();
@@ -160,7 +170,7 @@ TEST(Codec, RefusesValuesOutOfRange) {
   heartbeat.stats.cache.stall_seconds = std::numeric_limits<double>::infinity();
   bad.emplace_back(heartbeat);
   bad.emplace_back(RangeRequest{BulkObject::kVoxel, VoxelId{0}, 0, kChunkBytesMax + 1});
-  bad.emplace_back(RangeRequest{static_cast<BulkObject>(3), VoxelId{0}, 0, 1});
+  bad.emplace_back(RangeRequest{static_cast<BulkObject>(4), VoxelId{0}, 0, 1});
   bad.emplace_back(TileChunk{LeaseId{1}, TileId{1}, 0, std::uint64_t{1} << 40, {}});
 
   for (std::size_t i = 0; i < bad.size(); ++i) {
