@@ -82,7 +82,7 @@ CellResponse::CellResponse(const SceneTables& tables, const RenderSettings& sett
                            const DirectionBins& bins)
     : bins_(bins),
       bounces_(settings.bounces),
-      materials_(prepare_materials(tables.materials)),
+      materials_(prepare_materials(tables.materials, kAlbedoStrataCoarse)),
       lights_(tables, materials_, settings.sky) {
   for (const PreparedMaterial& material : materials_) { albedos_.push_back(albedo_of(material)); }
 }

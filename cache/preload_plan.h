@@ -17,7 +17,8 @@ struct PreloadPlan {
   std::uint64_t hot_bytes = 0;  // resident bytes of `hot`, built; <= the budget
 };
 
-// What of `cache_limit_bytes` may be hot. `share` in [0,1]; negative = auto. The rest always holds
+// What of `cache_limit_bytes` may be hot. `share` in [0,1]; negative = auto: as much as leaves room
+// for every other voxel that rays are expected to enter, and at least 0.3. The rest always holds
 // the largest voxel that is not hot, so that every cache renders.
 [[nodiscard]] PreloadPlan plan_preload(const SceneTables& tables, const Prediction& prediction,
                                        std::uint64_t cache_limit_bytes, double share);

@@ -101,7 +101,6 @@ class Renderer::Impl {
   Shading shading_;
   ResidentTable resident_;
   TracingDevice hot_device_;
-  TracingDevice cold_device_;  // used by the builder thread alone, so that its memory adds up
 
   mutable std::mutex mutex_;
   std::condition_variable tracers_wake_;
@@ -144,7 +143,6 @@ Renderer::Impl::Impl(SceneTables tables, const RenderSettings& settings,
       shading_(tables_, settings_),
       resident_(tables_.voxels.size(), options.threads),
       hot_device_(options.threads),
-      cold_device_(1),
       seats_(options.threads),
       is_hot_(tables_.voxels.size()),
       hot_delivered_(tables_.voxels.size()),
@@ -344,7 +342,11 @@ void Renderer::Impl::build_hot_set() {
   hot_bytes_ = std::min(promised, hot_mesh_->bytes() + hot_device_.bytes());
   build_peak_bytes_ = std::max(build_peak_bytes_, hot_device_.bytes_peak() - hot_device_.bytes());
   preload_.seconds = seconds_since(hot_begin_);
-  cache_.emplace(tables_.voxels, options_.cache_limit_bytes - hot_bytes_,
+  std::vector<VoxelCache::Size> sizes;
+  for (const VoxelEntry& voxel : tables_.voxels) {
+    sizes.push_back({voxel.block_bytes, VoxelMesh::bytes_max(voxel.triangle_count)});
+  }
+  cache_.emplace(std::move(sizes), options_.cache_limit_bytes - hot_bytes_,
                  [this](VoxelId voxel) { return resident_.last_used(voxel); });
   residency_ = std::move(residency);
   const TracerContext context{.tables = tables_,
@@ -369,20 +371,10 @@ void Renderer::Impl::build_voxel(VoxelId voxel) {
     const std::lock_guard lock(mutex_);
     block = blocks_.at(voxel);
   }
-  const std::uint64_t bytes_before = cold_device_.bytes();
-  cold_device_.reset_peak();
-  auto mesh = std::make_unique<VoxelMesh>(cold_device_, block.view);
-  const std::uint64_t bvh_bytes = cold_device_.bytes() - bytes_before;
-  const std::uint64_t transient = cold_device_.bytes_peak() - cold_device_.bytes();
-  const std::string error = cold_device_.take_error();
+  auto mesh = std::make_unique<VoxelMesh>(block.view);
+  const std::uint64_t bvh_bytes = mesh->bytes();
 
   const std::lock_guard lock(mutex_);
-  if (!error.empty()) {
-    emit(RendererFailed{{ExitCode::kFailed,
-                         fmt::format("voxel {} could not be built: {}", index_of(voxel), error)}});
-    return;
-  }
-  build_peak_bytes_ = std::max(build_peak_bytes_, transient);
   cache_->built(voxel, bvh_bytes);
   resident_.publish(voxel, mesh.get());
   meshes_[voxel] = std::move(mesh);

@@ -7,8 +7,10 @@
 #include <cmath>
 #include <cstring>
 #include <mutex>
+#include <optional>
 
 #include "cache/renderer.h"
+#include "cache/voxel_bvh.h"
 #include "common/check.h"
 
 #if __has_include(<embree4/rtcore.h>)
@@ -57,18 +59,15 @@ float widened(float t) { return t * (1.0F + kWindowRelative) + kWindowAbsolute; 
 // True if a hit at t lies so clearly before the entry that nothing inside can be nearer.
 bool is_before(float t, float t_enter) { return widened(t) < t_enter; }
 
-struct Geometry {
-  MeshArrays arrays{};
-};
-
 // A query's state that the callbacks reach through Embree's context pointer.
 struct QueryContext : RayContext {
   const Residency::Impl* residency = nullptr;
   RayQuery* query = nullptr;
   std::uint64_t stamp = 0;
   unsigned parallel_axes = 0;  // bit i: the ray runs (almost) parallel to the faces of axis i
+  std::optional<KernelRay> kernel_ray{};  // made when the first resident voxel is met
   // The best hit's place, while its mesh is pinned by the guard.
-  const Geometry* geometry = nullptr;
+  const MeshArrays* arrays = nullptr;
   std::uint32_t primitive = 0;
   float u = 0.0F;
   float v = 0.0F;
@@ -115,40 +114,57 @@ bool own_box_admits(const QueryContext& context, const MeshArrays& arrays, std::
   return true;
 }
 
-void refuse_ambiguous_blocker(const RTCFilterFunctionNArguments* arguments) {
-  const auto& context = *static_cast<const QueryContext*>(arguments->context);
-  if (context.parallel_axes == 0) { return; }
-  const auto* geometry = static_cast<const Geometry*>(arguments->geometryUserPtr);
-  const auto& ray = *reinterpret_cast<const RTCRay*>(arguments->ray);
-  const auto& hit = *reinterpret_cast<const RTCHit*>(arguments->hit);
-  if (!own_box_admits(context, geometry->arrays, hit.primID, ray.tfar)) { arguments->valid[0] = 0; }
+bool is_ambiguous(const QueryContext& context, const MeshArrays& arrays, std::uint32_t primitive,
+                  float t) {
+  return context.parallel_axes != 0 && !own_box_admits(context, arrays, primitive, t);
 }
 
-void keep_lowest_hit(const RTCFilterFunctionNArguments* arguments) {
-  auto& context = *static_cast<QueryContext*>(arguments->context);
+// The best triangle so far. Looked up when needed, as its line is rarely at hand.
+std::uint32_t best_triangle(const QueryContext& context) {
+  return context.arrays == nullptr ? context.query->triangle_best
+                                   : context.arrays->triangles[context.primitive];
+}
+
+// Keeps the hit if it is the lowest; returns how far candidates may lie from now on.
+float keep_lowest(QueryContext& context, const MeshArrays& arrays, std::uint32_t primitive, float t,
+                  float u, float v) {
   RayQuery& query = *context.query;
-  const auto* geometry = static_cast<const Geometry*>(arguments->geometryUserPtr);
+  if (t < query.t_best ||
+      (t == query.t_best && arrays.triangles[primitive] < best_triangle(context))) {
+    query.t_best = t;
+    context.arrays = &arrays;
+    context.primitive = primitive;
+    // The surface is likely to be asked for, and its lines are far.
+    _mm_prefetch(&arrays.indices[std::size_t{primitive} * 3], _MM_HINT_T0);
+    _mm_prefetch(&arrays.materials[primitive], _MM_HINT_T0);
+    _mm_prefetch(&arrays.triangles[primitive], _MM_HINT_T0);
+    context.u = u;
+    context.v = v;
+  }
+  return std::min(widened(query.t_best), query.ray.t_max);
+}
+
+void refuse_ambiguous_blocker(const RTCFilterFunctionNArguments* arguments) {
+  const auto& context = *static_cast<const QueryContext*>(arguments->context);
+  const auto& arrays = *static_cast<const MeshArrays*>(arguments->geometryUserPtr);
+  const auto& ray = *reinterpret_cast<const RTCRay*>(arguments->ray);
+  const auto& hit = *reinterpret_cast<const RTCHit*>(arguments->hit);
+  if (is_ambiguous(context, arrays, hit.primID, ray.tfar)) { arguments->valid[0] = 0; }
+}
+
+void filter_closest(const RTCFilterFunctionNArguments* arguments) {
+  auto& context = *static_cast<QueryContext*>(arguments->context);
+  const auto& arrays = *static_cast<const MeshArrays*>(arguments->geometryUserPtr);
   auto& ray = *reinterpret_cast<RTCRay*>(arguments->ray);
   const auto& hit = *reinterpret_cast<const RTCHit*>(arguments->hit);
-  const float t = ray.tfar;
-  if (context.parallel_axes != 0 && !own_box_admits(context, geometry->arrays, hit.primID, t)) {
+  if (is_ambiguous(context, arrays, hit.primID, ray.tfar)) {
     arguments->valid[0] = 0;
     return;
   }
-  const std::uint32_t triangle = geometry->arrays.triangles[hit.primID];
-  if (t < query.t_best || (t == query.t_best && triangle < query.triangle_best)) {
-    query.t_best = t;
-    query.triangle_best = triangle;
-    context.geometry = geometry;
-    context.primitive = hit.primID;
-    context.u = hit.u;
-    context.v = hit.v;
-  }
-  ray.tfar = std::min(widened(query.t_best), query.ray.t_max);
+  ray.tfar = keep_lowest(context, arrays, hit.primID, ray.tfar, hit.u, hit.v);
 }
 
-RTCGeometry new_triangle_geometry(RTCDevice device, const Geometry& geometry) {
-  const MeshArrays& arrays = geometry.arrays;
+RTCGeometry new_triangle_geometry(RTCDevice device, const MeshArrays& arrays) {
   RTCGeometry embree = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
   rtcSetSharedGeometryBuffer(embree, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3,
                              arrays.positions.data(), 0, 3 * sizeof(float),
@@ -156,12 +172,18 @@ RTCGeometry new_triangle_geometry(RTCDevice device, const Geometry& geometry) {
   rtcSetSharedGeometryBuffer(embree, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3,
                              arrays.indices.data(), 0, 3 * sizeof(std::uint32_t),
                              arrays.triangles.size());
-  rtcSetGeometryUserData(embree, const_cast<Geometry*>(&geometry));
-  rtcSetGeometryIntersectFilterFunction(embree, keep_lowest_hit);
+  rtcSetGeometryUserData(embree, const_cast<MeshArrays*>(&arrays));
+  rtcSetGeometryIntersectFilterFunction(embree, filter_closest);
   rtcSetGeometryOccludedFilterFunction(embree, refuse_ambiguous_blocker);
   rtcSetGeometryMask(embree, 0xFFFFFFFFU);
   rtcCommitGeometry(embree);
   return embree;
+}
+
+// Up to where candidates may lie, knowing what is known.
+float t_far_of(const RayQuery& query) {
+  if (query.any_hit || !query.has_hit()) { return query.ray.t_max; }
+  return std::min(widened(query.t_best), query.ray.t_max);
 }
 
 RTCRay make_ray(const RayQuery& query) {
@@ -173,10 +195,7 @@ RTCRay make_ray(const RayQuery& query) {
   ray.dir_y = query.ray.direction.y;
   ray.dir_z = query.ray.direction.z;
   ray.tnear = query.ray.t_min;
-  ray.tfar = query.ray.t_max;
-  if (!query.any_hit && query.has_hit()) {
-    ray.tfar = std::min(widened(query.t_best), query.ray.t_max);
-  }
+  ray.tfar = t_far_of(query);
   ray.mask = 0xFFFFFFFFU;
   return ray;
 }
@@ -220,7 +239,8 @@ Vec3 shading_normal(const MeshArrays& arrays, std::uint32_t primitive,
 
 // Error bounds as pbrt-v4 section 6.8.4, equation 6.25: gamma(7) times the sum of magnitudes.
 void fill_surface(const QueryContext& context, RayQuery& query) {
-  const MeshArrays& arrays = context.geometry->arrays;
+  const MeshArrays& arrays = *context.arrays;
+  query.triangle_best = best_triangle(context);
   const std::array<float, 3> weights{1.0F - context.u - context.v, context.u, context.v};
   const Vec3 a = vertex_at(arrays, context.primitive, 0);
   const Vec3 b = vertex_at(arrays, context.primitive, 1);
@@ -302,27 +322,6 @@ std::string TracingDevice::take_error() {
   return std::exchange(impl_->error, {});
 }
 
-struct VoxelMesh::Impl {
-  Geometry geometry{};
-  RTCScene scene = nullptr;
-};
-
-VoxelMesh::VoxelMesh(TracingDevice& device, const VoxelBlockView& block)
-    : impl_(std::make_unique<Impl>()) {
-  impl_->geometry.arrays = {block.positions, block.normals, block.indices, block.triangles,
-                            block.materials};
-  RTCDevice embree = device.impl().device;
-  impl_->scene = rtcNewScene(embree);
-  rtcSetSceneFlags(impl_->scene, RTC_SCENE_FLAG_ROBUST);
-  rtcSetSceneBuildQuality(impl_->scene, RTC_BUILD_QUALITY_MEDIUM);
-  RTCGeometry geometry = new_triangle_geometry(embree, impl_->geometry);
-  rtcAttachGeometry(impl_->scene, geometry);
-  rtcReleaseGeometry(geometry);
-  rtcCommitScene(impl_->scene);
-}
-
-VoxelMesh::~VoxelMesh() { rtcReleaseScene(impl_->scene); }
-
 HotMesh::HotMesh(const SceneTables& tables, std::span<const VoxelId> voxels) {
   std::size_t triangle_count = 0;
   std::size_t vertex_bytes = 0;
@@ -383,7 +382,7 @@ struct Residency::Impl {
   const SceneTables* tables = nullptr;
   ResidentTable* resident = nullptr;
   std::vector<VoxelId> cold{};  // user primitive -> voxel
-  Geometry hot_geometry{};
+  MeshArrays hot_arrays{};
   RTCScene scene = nullptr;
 };
 
@@ -401,19 +400,52 @@ void box_bounds(const RTCBoundsFunctionArguments* arguments) {
   bounds.upper_z = box.high.z;
 }
 
+// What a kernel reports to.
+struct MeshQuery {
+  QueryContext& context;
+  const MeshArrays& arrays;
+  float t_far;
+};
+
+float on_closest(void* user, std::uint32_t primitive, float t, float u, float v) {
+  auto& query = *static_cast<MeshQuery*>(user);
+  if (!is_ambiguous(query.context, query.arrays, primitive, t)) {
+    query.t_far = keep_lowest(query.context, query.arrays, primitive, t, u, v);
+  }
+  return query.t_far;
+}
+
+float on_blocker(void* user, std::uint32_t primitive, float t, float /*u*/, float /*v*/) {
+  auto& query = *static_cast<MeshQuery*>(user);
+  if (!is_ambiguous(query.context, query.arrays, primitive, t)) { query.t_far = -kInfinity; }
+  return query.t_far;
+}
+
+// Tests a resident voxel's triangles up to t_far. Returns the t_far to go on with, -infinity for an
+// any-hit ray that is blocked.
+float query_mesh(QueryContext& context, const VoxelMesh& mesh, float t_far) {
+  static const VoxelKernel kernel = voxel_kernel();
+  if (!context.kernel_ray) { context.kernel_ray = kernel_ray(context.query->ray, t_far); }
+  context.kernel_ray->t_far = t_far;
+  MeshQuery query{context, mesh.arrays(), t_far};
+  kernel(mesh.tree(), *context.kernel_ray, context.query->any_hit ? on_blocker : on_closest,
+         &query);
+  return query.t_far;
+}
+
 // The resident mesh of a cold voxel that the ray enters, or nullptr with the voxel noted or
 // outside.
 const VoxelMesh* enter_voxel(QueryContext& context, std::uint32_t primitive, const RTCRay& ray) {
   const Residency::Impl& residency = *context.residency;
   const VoxelId voxel = residency.cold[primitive];
-  RayQuery& query = *context.query;
-  const Interval span = clip({query.ray.origin, query.ray.direction, ray.tnear, ray.tfar},
-                             residency.tables->voxels[index_of(voxel)].bounds);
-  if (span.is_empty()) { return nullptr; }
   if (const VoxelMesh* mesh = residency.resident->lookup(voxel)) {
     residency.resident->touch(voxel, context.stamp);
     return mesh;
   }
+  RayQuery& query = *context.query;
+  const Interval span = clip({query.ray.origin, query.ray.direction, ray.tnear, ray.tfar},
+                             residency.tables->voxels[index_of(voxel)].bounds);
+  if (span.is_empty()) { return nullptr; }
   const MissingVoxel missing{span.t_enter, voxel};
   if (query.tested_up_to < missing) { note_missing(query, missing); }
   return nullptr;
@@ -422,12 +454,12 @@ const VoxelMesh* enter_voxel(QueryContext& context, std::uint32_t primitive, con
 void box_intersect(const RTCIntersectFunctionNArguments* arguments) {
   arguments->valid[0] = 0;
   auto& context = *static_cast<QueryContext*>(arguments->context);
-  auto& ray_hit = *reinterpret_cast<RTCRayHit*>(arguments->rayhit);
-  const VoxelMesh* mesh = enter_voxel(context, arguments->primID, ray_hit.ray);
+  auto& ray = reinterpret_cast<RTCRayHit*>(arguments->rayhit)->ray;
+  const VoxelMesh* mesh = enter_voxel(context, arguments->primID, ray);
   if (mesh == nullptr) { return; }
-  const float t_far = ray_hit.ray.tfar;
-  intersect(mesh->impl().scene, context, ray_hit);
-  arguments->valid[0] = ray_hit.ray.tfar < t_far ? -1 : 0;
+  const float t_far = query_mesh(context, *mesh, ray.tfar);
+  arguments->valid[0] = t_far < ray.tfar ? -1 : 0;
+  ray.tfar = t_far;
 }
 
 void box_occluded(const RTCOccludedFunctionNArguments* arguments) {
@@ -436,7 +468,7 @@ void box_occluded(const RTCOccludedFunctionNArguments* arguments) {
   auto& ray = *reinterpret_cast<RTCRay*>(arguments->ray);
   const VoxelMesh* mesh = enter_voxel(context, arguments->primID, ray);
   if (mesh == nullptr) { return; }
-  occluded(mesh->impl().scene, context, ray);
+  ray.tfar = query_mesh(context, *mesh, ray.tfar);
   arguments->valid[0] = ray.tfar < 0.0F ? -1 : 0;
 }
 
@@ -462,7 +494,13 @@ void query_scene(RTCScene scene, QueryContext& context, RayQuery& query) {
   ray_hit.hit.geomID = RTC_INVALID_GEOMETRY_ID;
   ray_hit.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
   intersect(scene, context, ray_hit);
-  if (context.geometry != nullptr) { fill_surface(context, query); }
+  if (context.arrays != nullptr) { fill_surface(context, query); }
+}
+
+void resume_in(const VoxelMesh& mesh, QueryContext& context, RayQuery& query) {
+  const float t_far = query_mesh(context, mesh, t_far_of(query));
+  query.blocked |= query.any_hit && t_far < 0.0F;
+  if (context.arrays != nullptr) { fill_surface(context, query); }
 }
 
 bool is_final(const RayQuery& query) {
@@ -478,13 +516,13 @@ Residency::Residency(TracingDevice& device, const HotMesh& hot, const SceneTable
   impl_->tables = &tables;
   impl_->resident = &resident;
   impl_->cold.assign(cold.begin(), cold.end());
-  impl_->hot_geometry.arrays = hot.arrays();
+  impl_->hot_arrays = hot.arrays();
   RTCDevice embree = device.impl().device;
   impl_->scene = rtcNewScene(embree);
   rtcSetSceneFlags(impl_->scene, RTC_SCENE_FLAG_ROBUST);
   rtcSetSceneBuildQuality(impl_->scene, RTC_BUILD_QUALITY_MEDIUM);
-  if (!impl_->hot_geometry.arrays.triangles.empty()) {
-    RTCGeometry geometry = new_triangle_geometry(embree, impl_->hot_geometry);
+  if (!impl_->hot_arrays.triangles.empty()) {
+    RTCGeometry geometry = new_triangle_geometry(embree, impl_->hot_arrays);
     rtcAttachGeometry(impl_->scene, geometry);
     rtcReleaseGeometry(geometry);
   }
@@ -521,7 +559,7 @@ Residency::Answer Residency::resume(RayQuery& query) const {
       if (mesh == nullptr) { return Answer::kWaiting; }
       QueryContext context = make_context(*impl_, query);
       impl_->resident->touch(next.voxel, context.stamp);
-      query_scene(mesh->impl().scene, context, query);
+      resume_in(*mesh, context, query);
       query.tested_up_to = next;
       pop_missing(query);
     }

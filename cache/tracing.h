@@ -1,8 +1,8 @@
-// Embree behind one file: meshes of voxels, the hot BVH with boxes for the rest, and ray queries.
+// Embree behind one file: the hot BVH with boxes for the rest, and ray queries.
 //
 // One scene holds the hot set as one triangle geometry and every cold voxel as a user-geometry box.
-// A query meets a cold voxel in a callback: if it is resident its own BVH is queried there,
-// otherwise the ray notes (voxel, entry distance) and goes on.
+// A query meets a cold voxel in a callback: if it is resident its own small tree is walked there
+// (see voxel_bvh.h), otherwise the ray notes (voxel, entry distance) and goes on.
 //
 // The nearest hit is the lowest (t, global triangle id) among all candidates. Embree alone does not
 // give that: it keeps whichever of two equal hits it met first, and may skip a triangle whose box
@@ -19,6 +19,7 @@
 #include <vector>
 
 #include "cache/resident_table.h"
+#include "cache/voxel_bvh.h"
 #include "common/path.h"
 #include "common/ray.h"
 #include "common/result.h"
@@ -89,19 +90,28 @@ struct MeshArrays {
   std::span<const std::uint32_t> materials{};  // [triangle_count]
 };
 
-// One voxel, built: its block stays with the owner, its BVH lives here.
+// One cold voxel, built: its block stays with the owner, the tree over it lives here.
 class VoxelMesh {
  public:
-  VoxelMesh(TracingDevice& device, const VoxelBlockView& block);
-  ~VoxelMesh();
+  explicit VoxelMesh(const VoxelBlockView& block)
+      : arrays_{block.positions, block.normals, block.indices, block.triangles, block.materials},
+        bvh_(block) {}
   VoxelMesh(const VoxelMesh&) = delete;
   VoxelMesh& operator=(const VoxelMesh&) = delete;
 
-  struct Impl;
-  [[nodiscard]] const Impl& impl() const { return *impl_; }
+  [[nodiscard]] const MeshArrays& arrays() const { return arrays_; }
+  [[nodiscard]] VoxelTree tree() const { return bvh_.tree(); }
+
+  // Beside the block.
+  [[nodiscard]] std::uint64_t bytes() const { return sizeof(VoxelMesh) + bvh_.bytes(); }
+  // What bytes() never exceeds.
+  [[nodiscard]] static std::uint64_t bytes_max(std::uint64_t triangle_count) {
+    return sizeof(VoxelMesh) + VoxelBvh::bytes_max(triangle_count);
+  }
 
  private:
-  std::unique_ptr<Impl> impl_;
+  MeshArrays arrays_;
+  VoxelBvh bvh_;
 };
 
 // The merged triangles of many blocks, straddling triangles once. Grows block by block, so that a

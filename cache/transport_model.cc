@@ -126,7 +126,7 @@ class TransportTracer {
   TransportTracer(const PredictionInput& input, const ProxyWalk& walk, std::uint32_t cells_per_side)
       : input_(input),
         walk_(walk),
-        shading_(input.tables, with_cells(input.settings, cells_per_side)),
+        shading_(input.tables, with_cells(input.settings, cells_per_side), kAlbedoStrataCoarse),
         leaf_rng_(~input.settings.seed) {}
 
   // One path of a cell. Behind the camera all paths, numbered by `index`, are samples of one pixel.
@@ -159,6 +159,7 @@ class TransportTracer {
   struct LeafRandom {
     float unstopped = 0.0F;
     float material = 0.0F;
+    float side = 0.0F;
     float face = 0.0F;
     RandomPair normal{};
   };
@@ -166,31 +167,39 @@ class TransportTracer {
   [[nodiscard]] LeafRandom leaf_random(std::uint32_t index, std::uint32_t bounce) const {
     const RandomPair first = leaf_rng_.pair(0, index, bounce, Dimension::kChoice);
     const RandomPair face = leaf_rng_.pair(0, index, bounce, Dimension::kRoulette);
-    return {first.x(), first.y(), face.x(),
+    return {first.x(), first.y(), face.x(), face.y(),
             leaf_rng_.pair(0, index, bounce, Dimension::kDirection)};
   }
+
+  // What a ray meets of a leaf.
+  struct Face {
+    Vec3 normal{0.0F};
+    bool shows_minor = false;
+  };
 
   [[nodiscard]] SurfaceHit surface_at(const Ray& ray, const ProxyStop& stop,
                                       const LeafRandom& random) const {
     const Proxy& proxy = input_.proxy;
     const ProxyNode& node = proxy.nodes[stop.leaf.node];
     const ProxyRecord& record = proxy.records[node.first];
+    const bool is_flat = (record.shape & kShapeFlat) != 0;
+    const Face face =
+        is_flat ? flat_face(ray, record) : scattered_face(ray, record, node.bounds, random);
     SurfaceHit hit;
     hit.position = ray.origin + stop.t * ray.direction;
     hit.distance = stop.t;
     hit.triangle = kNoIndex;
-    hit.normal_geometric = normal_at(ray, record, node.bounds, random);
+    hit.normal_geometric = face.normal;
     hit.normal_shading = hit.normal_geometric;
-    const bool is_flat = (record.shape & kShapeFlat) != 0;
     const float facing = glm::dot(hit.normal_geometric, ray.direction) > 0.0F ? -1.0F : 1.0F;
-    const bool is_front = glm::dot(record_normal(record), ray.direction) < 0.0F;
-    const float share = static_cast<float>(record.minor_share) / 255.0F;
-    const bool shows_minor = is_flat ? !is_front : random.material < share;
-    hit.material = proxy.materials[shows_minor ? record.material_minor : record.material_major];
-    // On the ray's side of all that the leaf holds, so that a lamp does not see itself.
+    hit.material =
+        proxy.materials[face.shows_minor ? record.material_minor : record.material_major];
+    // A lamp is on the ray's side of all that the leaf holds, so that it does not see itself but
+    // lights what it hangs from.
     const float diagonal = glm::length(node.bounds.extent());
+    const bool is_lamp = input_.tables.materials[hit.material].emission != Vec3(0.0F);
     const float thickness =
-        is_flat ? diagonal * static_cast<float>(record.thickness) / 255.0F : 0.0F;
+        is_flat && is_lamp ? diagonal * static_cast<float>(record.thickness) / 255.0F : 0.0F;
     hit.position_error = std::max(kVoxelMargin, 0.5F * thickness);
     hit.position +=
         hit.normal_geometric * (facing * (hit.position_error + 2.0F * kPlaneTolerance * diagonal));
@@ -199,33 +208,40 @@ class TransportTracer {
 
   // The side of a surface is known where the leaf's normals agree; otherwise the ray sees its
   // front.
-  [[nodiscard]] static Vec3 normal_at(const Ray& ray, const ProxyRecord& record, const Aabb& bounds,
-                                      const LeafRandom& random) {
+  [[nodiscard]] static Face flat_face(const Ray& ray, const ProxyRecord& record) {
     const Vec3 mean = record_normal(record);
-    const bool is_flat = (record.shape & kShapeFlat) != 0;
+    const bool is_back = glm::dot(mean, ray.direction) >= 0.0F;
     const bool is_oriented = (record.shape & kShapeOriented) != 0;
-    const float towards = glm::dot(mean, ray.direction);
-    if (is_flat) { return !is_oriented && towards > 0.0F ? -mean : mean; }
-    if (is_oriented && towards < 0.0F) { return mean; }
-    // What a ray sees of a sphere has normals around its own direction by their cosine.
-    const float roundness = static_cast<float>(record.thickness) / 255.0F;
-    if (random.face < roundness) {
-      const Vec3 local = cosine_direction(random.normal.x(), random.normal.y());
-      return OrthonormalFrame(-ray.direction).scene_from_local(local);
-    }
-    // Facing one of the axes, as likely as the geometry's shadow along it is met.
+    return {!is_oriented && is_back ? -mean : mean, is_back};
+  }
+
+  [[nodiscard]] static Face scattered_face(const Ray& ray, const ProxyRecord& record,
+                                           const Aabb& bounds, const LeafRandom& random) {
+    // The ray sees three sides of the leaf, each as likely as it meets the geometry's shadow there.
     const Vec3 extent = bounds.extent();
     Vec3 weight;
+    Vec3 share;  // of the minor material
     for (int axis = 0; axis < 3; ++axis) {
       weight[axis] = std::abs(ray.direction[axis]) / extent[axis] *
                      static_cast<float>(record.coverage[static_cast<std::size_t>(axis)]);
+      share[axis] = record_minor_share(record, axis, ray.direction[axis] > 0.0F);
     }
-    float left = random.normal.x() * (weight.x + weight.y + weight.z);
+    const float weights = weight.x + weight.y + weight.z;
+    float left = random.side * weights;
     int axis = 0;
     while (axis < 2 && left >= weight[axis]) { left -= weight[axis++]; }
+    const bool shows_minor = random.material < share[axis];
+    const Vec3 mean = record_normal(record);
+    const bool is_oriented = (record.shape & kShapeOriented) != 0;
+    if (is_oriented && glm::dot(mean, ray.direction) < 0.0F) { return {mean, shows_minor}; }
+    // What a ray sees of a sphere has normals around its own direction by their cosine.
+    if (random.face < record_roundness(record, shows_minor)) {
+      const Vec3 local = cosine_direction(random.normal.x(), random.normal.y());
+      return {OrthonormalFrame(-ray.direction).scene_from_local(local), shows_minor};
+    }
     Vec3 normal(0.0F);
     normal[axis] = ray.direction[axis] > 0.0F ? -1.0F : 1.0F;
-    return normal;
+    return {normal, shows_minor};
   }
 
   const PredictionInput& input_;

@@ -6,23 +6,13 @@
 #include "common/check.h"
 
 namespace preheat {
-namespace {
 
-constexpr VoxelId kNoVoxel{UINT32_MAX};
-
-}  // namespace
-
-VoxelCache::VoxelCache(std::span<const VoxelEntry> voxels, std::uint64_t limit_bytes,
+VoxelCache::VoxelCache(std::vector<Size> voxels, std::uint64_t limit_bytes,
                        std::function<std::uint64_t(VoxelId)> last_used)
-    : voxels_(voxels),
+    : voxels_(std::move(voxels)),
       limit_bytes_(limit_bytes),
       last_used_(std::move(last_used)),
-      slots_(voxels.size()) {}
-
-std::uint64_t VoxelCache::bvh_bytes_bound(VoxelId voxel) const {
-  const VoxelEntry& entry = voxels_[index_of(voxel)];
-  return entry.resident_bytes - entry.block_bytes;
-}
+      slots_(voxels_.size()) {}
 
 void VoxelCache::hold(std::uint64_t bytes) {
   held_bytes_ += bytes;
@@ -58,7 +48,7 @@ bool VoxelCache::block_arrived(VoxelId voxel) {
 
 void VoxelCache::built(VoxelId voxel, std::uint64_t bvh_bytes) {
   Slot& slot = slots_[index_of(voxel)];
-  CHECK(slot.state == State::kBuilding);
+  CHECK(slot.state == State::kBuilding && bvh_bytes <= slot.bvh_bytes);
   promised_bytes_ = promised_bytes_ - slot.bvh_bytes + bvh_bytes;
   slot.bvh_bytes = bvh_bytes;
   slot.state = State::kBuilt;
@@ -129,7 +119,6 @@ std::vector<VoxelCache::Command> VoxelCache::step() {
       commands.push_back({Action::kBuild, voxel});
     }
   }
-  if (promised_bytes_ > limit_bytes_) { static_cast<void>(make_room(kNoVoxel, 0, commands)); }
   std::erase_if(wanted_, [this](VoxelId voxel) { return slots_[index_of(voxel)].waiting == 0; });
   std::sort(wanted_.begin(), wanted_.end(), [this](VoxelId a, VoxelId b) {
     const std::uint64_t waiting_a = slots_[index_of(a)].waiting;
@@ -142,7 +131,7 @@ std::vector<VoxelCache::Command> VoxelCache::step() {
     Slot& slot = slots_[index_of(voxel)];
     if (slot.state == State::kWithdrawing) { break; }
     const bool raw = slot.state == State::kRaw;
-    const std::uint64_t bvh_bytes = bvh_bytes_bound(voxel);
+    const std::uint64_t bvh_bytes = voxels_[index_of(voxel)].bvh_bytes_max;
     const std::uint64_t bytes = bvh_bytes + (raw ? 0 : block_bytes(voxel));
     if (!make_room(voxel, bytes, commands)) { break; }
     promised_bytes_ += bytes;
@@ -158,6 +147,7 @@ std::vector<VoxelCache::Command> VoxelCache::step() {
     }
   }
   wanted_.erase(wanted_.begin(), wanted_.begin() + static_cast<std::ptrdiff_t>(admitted));
+  CHECK(held_bytes_ <= promised_bytes_ && promised_bytes_ <= limit_bytes_);
   return commands;
 }
 

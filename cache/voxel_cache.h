@@ -4,25 +4,23 @@
 //
 //   absent -> fetching -> raw -> building -> built -> withdrawing -> raw -> absent
 //
-// A voxel that rays wait for is admitted when its whole resident size (block and BVH bound) can be
-// had; what is admitted is never evicted before it has served the rays that waited for it. So
-// admitted voxels always come to an end, and a limit of one voxel still renders: they are admitted
-// in turn. Room is made from the voxel that was used longest ago: first its BVH goes, then its
-// block.
+// A voxel that rays wait for is admitted when its whole resident size (block and bound of its BVH)
+// can be had; what is admitted is never evicted before it has served the rays that waited for it.
+// So admitted voxels always come to an end, and a limit of one voxel still renders: they are
+// admitted in turn. Room is made from the voxel that was used longest ago: first its BVH goes, then
+// its block.
 //
-// Invariant: promised_bytes() <= limit_bytes, and held_bytes() <= promised_bytes(). A BVH that
-// proves larger than the directory's bound may break the first until the next step evicts for it.
+// Invariant, checked after every step: held_bytes() <= promised_bytes() <= limit_bytes.
 //
 // Threads: none of its own; the owner locks.
 #pragma once
 
 #include <cstdint>
 #include <functional>
-#include <span>
 #include <utility>
 #include <vector>
 
-#include "common/scene_tables.h"
+#include "common/ids.h"
 
 namespace preheat {
 
@@ -46,8 +44,14 @@ class VoxelCache {
     std::uint64_t evictions = 0;  // blocks or BVHs given up
   };
 
-  // `voxels` outlives this. `last_used(v)` ranks evictions: the lowest goes first.
-  VoxelCache(std::span<const VoxelEntry> voxels, std::uint64_t limit_bytes,
+  // What a voxel takes.
+  struct Size {
+    std::uint64_t block_bytes = 0;
+    std::uint64_t bvh_bytes_max = 0;
+  };
+
+  // `last_used(v)` ranks evictions: the lowest goes first.
+  VoxelCache(std::vector<Size> voxels, std::uint64_t limit_bytes,
              std::function<std::uint64_t(VoxelId)> last_used);
 
   // Commands to carry out after the calls since the last step, in this order. At most
@@ -60,6 +64,7 @@ class VoxelCache {
 
   // False if the voxel was not being fetched: the caller drops the bytes.
   [[nodiscard]] bool block_arrived(VoxelId voxel);
+  // Requires: bvh_bytes <= Size::bvh_bytes_max.
   void built(VoxelId voxel, std::uint64_t bvh_bytes);
   void withdrawn(VoxelId voxel);
 
@@ -87,13 +92,12 @@ class VoxelCache {
   // under way or for admitted voxels to be served.
   [[nodiscard]] bool make_room(VoxelId kept, std::uint64_t bytes, std::vector<Command>& commands);
   [[nodiscard]] std::vector<VoxelId>::iterator find_victim(VoxelId kept);
-  [[nodiscard]] std::uint64_t bvh_bytes_bound(VoxelId voxel) const;
   [[nodiscard]] std::uint64_t block_bytes(VoxelId voxel) const {
     return voxels_[index_of(voxel)].block_bytes;
   }
   void hold(std::uint64_t bytes);
 
-  std::span<const VoxelEntry> voxels_;
+  std::vector<Size> voxels_;
   std::uint64_t limit_bytes_;
   std::function<std::uint64_t(VoxelId)> last_used_;
   std::vector<Slot> slots_;

@@ -84,19 +84,18 @@ float coat_albedo(const PreparedMaterial& material, const MicrofacetAlbedo& albe
 
 // What facets reflect of light from `out`. Half a turn of azimuths is enough by symmetry; the polar
 // strata crowd where facets are steep, as all that a smooth surface loses is lost there.
-MicrofacetAlbedo integrate_albedo(float cos_normal, float alpha) {
-  constexpr int kAzimuths = 32;
-  constexpr int kPolars = 32;
+MicrofacetAlbedo integrate_albedo(float cos_normal, float alpha, int strata) {
+  const auto side = static_cast<float>(strata);
   const Vec3 out(std::sqrt(std::max(0.0F, 1.0F - cos_normal * cos_normal)), 0.0F, cos_normal);
   const float lambda_out = ggx_lambda(out, alpha);
   double total = 0.0;
   double grazing = 0.0;
-  for (int i = 0; i < kAzimuths * kPolars; ++i) {
-    const float u = (static_cast<float>(i % kAzimuths) + 0.5F) / (2.0F * kAzimuths);
-    const float low = static_cast<float>(i / kAzimuths) / kPolars;
-    const float high = static_cast<float>(i / kAzimuths + 1) / kPolars;
+  for (int i = 0; i < strata * strata; ++i) {
+    const float u = (static_cast<float>(i % strata) + 0.5F) / (2.0F * side);
+    const float low = static_cast<float>(i / strata) / side;
+    const float high = static_cast<float>(i / strata + 1) / side;
     const float steep = 0.5F * (low + high);
-    const float stratum = (high * square(high) - low * square(low)) / kAzimuths;
+    const float stratum = (high * square(high) - low * square(low)) / side;
     const Vec3 facet = sample_visible_facet(out, alpha, u, 1.0F - steep * square(steep));
     const Vec3 in = reflect(out, facet);
     if (!(in.z > 0.0F)) { continue; }
@@ -109,11 +108,11 @@ MicrofacetAlbedo integrate_albedo(float cos_normal, float alpha) {
 
 }  // namespace
 
-MicrofacetAlbedoTable::MicrofacetAlbedoTable(float alpha) {
+MicrofacetAlbedoTable::MicrofacetAlbedoTable(float alpha, int strata) {
   constexpr float kCosMin = 1e-5F;  // the first node stands for the limit at the horizon
   for (std::size_t i = 0; i < kNodes; ++i) {
     const float root = static_cast<float>(i) / static_cast<float>(kNodes - 1);
-    nodes_[i] = integrate_albedo(std::max(kCosMin, root * root), alpha);
+    nodes_[i] = integrate_albedo(std::max(kCosMin, root * root), alpha, strata);
   }
   // The integral of 2 cos E over cos in [0,1] is that of 4 s^3 E over s = sqrt(cos); E is linear in
   // s between nodes, so three Gauss points a cell are exact.
@@ -152,12 +151,14 @@ namespace {
 
 using AlbedoTables = std::map<float, std::shared_ptr<const MicrofacetAlbedoTable>>;
 
-std::shared_ptr<const MicrofacetAlbedoTable> albedo_table(float roughness, AlbedoTables& tables) {
+std::shared_ptr<const MicrofacetAlbedoTable> albedo_table(float roughness, int strata,
+                                                          AlbedoTables& tables) {
   const auto step = static_cast<std::int32_t>(roughness * kRoughnessSteps + 0.5F);
   const float rounded = static_cast<float>(step) / kRoughnessSteps;
   std::shared_ptr<const MicrofacetAlbedoTable>& table = tables[rounded];
   if (table == nullptr) {
-    table = std::make_shared<const MicrofacetAlbedoTable>(std::max(kAlphaMin, rounded * rounded));
+    table = std::make_shared<const MicrofacetAlbedoTable>(std::max(kAlphaMin, rounded * rounded),
+                                                          strata);
   }
   return table;
 }
@@ -174,7 +175,7 @@ Vec3 multiple_scattering(const Vec3& r0, float albedo_total_mean) {
   return colour * (kInversePi / lost);
 }
 
-PreparedMaterial prepare(const Material& material, AlbedoTables& tables) {
+PreparedMaterial prepare(const Material& material, int strata, AlbedoTables& tables) {
   const float metal = std::clamp(material.metallic, 0.0F, 1.0F);
   const float transmission = std::clamp(material.transmission, 0.0F, 1.0F);
   const float roughness = std::clamp(material.roughness, 0.0F, 1.0F);
@@ -196,7 +197,7 @@ PreparedMaterial prepare(const Material& material, AlbedoTables& tables) {
   prepared.ior = ior - 1.0F < kIndexStepMin ? 1.0F : ior;
   prepared.thin_walled = material.thin_walled;
   if (prepared.alpha > 0.0F && prepared.has_specular()) {
-    prepared.albedo = albedo_table(roughness, tables);
+    prepared.albedo = albedo_table(roughness, strata, tables);
   }
 
   const MicrofacetAlbedo mean = albedo_mean(prepared);
@@ -213,11 +214,13 @@ PreparedMaterial prepare(const Material& material, AlbedoTables& tables) {
 
 }  // namespace
 
-std::vector<PreparedMaterial> prepare_materials(std::span<const Material> materials) {
+std::vector<PreparedMaterial> prepare_materials(std::span<const Material> materials, int strata) {
   AlbedoTables tables;
   std::vector<PreparedMaterial> prepared;
   prepared.reserve(materials.size());
-  for (const Material& material : materials) { prepared.push_back(prepare(material, tables)); }
+  for (const Material& material : materials) {
+    prepared.push_back(prepare(material, strata, tables));
+  }
   return prepared;
 }
 

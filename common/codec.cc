@@ -185,6 +185,14 @@ void serialize(Archive& archive, TileChunkAck& ack) {
 }
 
 template <class Archive>
+void serialize(Archive& archive, Status& status) {
+  archive(status.build, enum_up_to(status.phase, JobPhase::kOver), status.tiles_done,
+          status.tiles_total, status.workers, status.workers_ready, status.workers_lost,
+          status.leases_expired, status.rays, status.accesses, status.misses,
+          status.waiting_seconds, status.rendering_seconds);
+}
+
+template <class Archive>
 void serialize(Archive& archive, PeersChanged& changed) {
   archive(changed.version, changed.bytes, changed.hash);
 }
@@ -193,9 +201,6 @@ template <class Archive>
 void serialize(Archive& archive, VoxelAbsent& absent) {
   archive(id(absent.voxel), id(absent.holder));
 }
-
-template <class Archive>
-void serialize(Archive& /*archive*/, VoxelLater& /*later*/) {}
 
 namespace {
 
@@ -243,6 +248,10 @@ bool valid(const Fault& fault) { return printable(fault.text.text); }
 bool valid(const TileChunk& chunk) {
   constexpr std::uint64_t kTileBytesMax = std::uint64_t{kTileSizeMax} * kTileSizeMax * 16;
   return chunk.total_bytes <= kTileBytesMax && chunk.offset <= chunk.total_bytes;
+}
+
+bool valid(const Status& status) {
+  return printable(status.build.text) && status.tiles_done <= status.tiles_total;
 }
 
 // Messages whose every bit pattern means something.

@@ -172,6 +172,7 @@ LightSample Lights::sample_triangle(const TriangleLight& light, const Vec3& posi
   const float cos_light = -glm::dot(light.normal, sample.direction);
   if (cos_light == 0.0F || (cos_light < 0.0F && !light.double_sided)) { return {}; }
   sample.point = offset_origin(point, light.position_error, light.normal, -sample.direction);
+  sample.position_error = 3.0F * light.position_error;  // its own, the lifting and one rounding
   sample.radiance = light.emission;
   sample.pdf_solid_angle = distance_squared / (std::abs(cos_light) * light.area);
   return sample;

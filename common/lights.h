@@ -46,6 +46,7 @@ struct LightSample {
   // Where a shadow ray ends: lifted off the light's surface by its rounding, so that the ray does
   // not meet it. Unused where the light is infinitely far away.
   Vec3 point{0.0F};
+  float position_error = 0.0F;  // bound on each coordinate of `point`, the lifting included
   bool infinitely_far = false;
   Vec3 radiance{0.0F};           // radiance, or irradiance at normal incidence of a punctual light
   float pdf_solid_angle = 0.0F;  // 0: this light does not reach here; punctual: the choice's own

@@ -1,10 +1,10 @@
 // What master and workers say to each other: one struct per message, one variant for all.
 //
-// Control (small frames): Hello ... JobDone and PeersChanged. Bulk (chunks): RangeRequest ...
-// TileChunkAck, of which RangeReply and TileChunk carry raw bytes in a frame of their own behind
-// the message. Between workers: RangeRequest, RangeReply, VoxelAbsent, VoxelLater. A message's
-// number on the wire is its place in `Message`: append, and raise kProtocolVersion when anything
-// else changes. Every container has its bound in its type.
+// Control (small frames): Hello ... JobDone, StatusRequest, Status and PeersChanged. Bulk (chunks):
+// RangeRequest ... TileChunkAck, of which RangeReply and TileChunk carry raw bytes in a frame of
+// their own behind the message. Between workers: RangeRequest, RangeReply, VoxelAbsent, VoxelLater.
+// A message's number on the wire is its place in `Message`: append, and raise kProtocolVersion when
+// anything else changes. Every container has its bound in its type.
 #pragma once
 
 #include <cstddef>
@@ -186,6 +186,28 @@ struct TileChunkAck {
   std::uint64_t offset = 0;
 };
 
+// Who asks for the status -> master, at any time, without a Hello.
+struct StatusRequest {};
+
+enum class JobPhase : std::uint8_t { kWaiting = 0, kRendering = 1, kFarewell = 2, kOver = 3 };
+
+// Master -> who asked.
+struct Status {
+  BoundedString<64> build{};
+  JobPhase phase = JobPhase::kWaiting;
+  std::uint32_t tiles_done = 0;
+  std::uint32_t tiles_total = 0;
+  std::uint32_t workers = 0;        // here now
+  std::uint32_t workers_ready = 0;  // of these, with their voxels preloaded
+  std::uint32_t workers_lost = 0;   // so far, without a Goodbye
+  std::uint64_t leases_expired = 0;
+  std::uint64_t rays = 0;
+  std::uint64_t accesses = 0;
+  std::uint64_t misses = 0;
+  double waiting_seconds = 0.0;    // since the master listens, until the first lease
+  double rendering_seconds = 0.0;  // since the first lease
+};
+
 // Master -> worker: there is a new plan of homes to fetch (home_plan.h).
 struct PeersChanged {
   std::uint32_t version = 0;
@@ -205,6 +227,6 @@ struct VoxelLater {};
 using Message =
     std::variant<Hello, Welcome, Refuse, Unknown, Ready, Grant, Cancel, ResultAck, WorkerHeartbeat,
                  MasterHeartbeat, Fault, Goodbye, JobDone, RangeRequest, RangeReply, TileChunk,
-                 TileChunkAck, PeersChanged, VoxelAbsent, VoxelLater>;
+                 TileChunkAck, StatusRequest, Status, PeersChanged, VoxelAbsent, VoxelLater>;
 
 }  // namespace preheat

@@ -47,6 +47,16 @@ struct Vertex {
     const float cos_geometric = glm::dot(normal_geometric, direction);
     return cos_geometric * cos_shading > 0.0F;
   }
+
+  // Whether the light lies in the surface's own plane as far as rounding can tell, as the next
+  // panel of a lit ceiling does: on which side of it is then chance, and it lights nothing.
+  [[nodiscard]] bool may_hold(const LightSample& light) const {
+    if (light.infinitely_far) { return false; }
+    const Vec3 normal = glm::abs(normal_geometric);
+    const float reach =
+        (hit.position_error + light.position_error) * (normal.x + normal.y + normal.z);
+    return std::abs(glm::dot(normal_geometric, light.point - hit.position)) <= reach;
+  }
 };
 
 Vertex make_vertex(const SurfaceHit& hit, const PreparedMaterial& material, const Vec3& out) {
@@ -64,6 +74,7 @@ void sample_light(const Vertex& vertex, const Lights& lights, std::uint32_t u_ch
   const SurfaceHit& hit = vertex.hit;
   const LightSample light = lights.sample(hit.position, vertex.frame.normal, u_choice, u);
   if (!(light.pdf_solid_angle > 0.0F) || !std::isfinite(light.pdf_solid_angle)) { return; }
+  if (vertex.may_hold(light)) { return; }
   const Vec3 in = vertex.frame.local_from_scene(light.direction);
   if (!vertex.sides_agree(light.direction, in.z)) { return; }
   const BsdfValue bsdf = vertex.bsdf.evaluate(in);
@@ -91,9 +102,9 @@ void sample_light(const Vertex& vertex, const Lights& lights, std::uint32_t u_ch
 
 }  // namespace
 
-Shading::Shading(const SceneTables& tables, const RenderSettings& settings)
+Shading::Shading(const SceneTables& tables, const RenderSettings& settings, int albedo_strata)
     : settings_(settings),
-      materials_(prepare_materials(tables.materials)),
+      materials_(prepare_materials(tables.materials, albedo_strata)),
       lights_(tables, materials_, settings.sky),
       rng_(settings.seed) {}
 

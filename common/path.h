@@ -60,7 +60,8 @@ struct ShadedVertex {
 class Shading {
  public:
   // Copies what it needs of the tables. Sampling tables exist only for the light classes present.
-  Shading(const SceneTables& tables, const RenderSettings& settings);
+  Shading(const SceneTables& tables, const RenderSettings& settings,
+          int albedo_strata = kAlbedoStrata);
 
   // The camera ray of a pixel's sample, and its fresh path.
   [[nodiscard]] Ray start_path(std::uint32_t pixel, std::uint32_t sample, PathState& path) const;

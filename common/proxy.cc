@@ -7,6 +7,7 @@
 #include <cmath>
 #include <cstring>
 #include <numeric>
+#include <optional>
 #include <string>
 #include <type_traits>
 #include <unordered_map>
@@ -122,8 +123,6 @@ std::vector<Piece> pieces_in_cell(const Scene& scene, std::span<const std::uint3
 }
 
 // ---- the shadow of pieces on a face of their bounds ----
-
-FlatAxes axes_along(int axis) { return {axis, axis == 2 ? 0 : axis + 1, axis == 0 ? 2 : axis - 1}; }
 
 std::uint8_t code_255(float share) {
   return static_cast<std::uint8_t>(std::clamp(share, 0.0F, 1.0F) * 255.0F + 0.5F);
@@ -242,21 +241,6 @@ class SampleBits {
       }
     }
     return counts;
-  }
-
-  // How many samples in the mask see the plane inside the bounds.
-  [[nodiscard]] static int count_plane(std::uint64_t mask, const SeenPlane& plane) {
-    int sum = 0;
-    for (int row = 0; row < static_cast<int>(kSamples); ++row) {
-      for (int column = 0; column < static_cast<int>(kSamples); ++column) {
-        const unsigned bit = flat_bit(static_cast<unsigned>(column) * 8 / kSamples,
-                                      static_cast<unsigned>(row) * 8 / kSamples);
-        if ((mask >> bit & 1U) == 0) { continue; }
-        const float height = plane.at(column, row);
-        if (height >= -0.5F && height <= kLastSample + 0.5F) { ++sum; }
-      }
-    }
-    return sum;
   }
 
  private:
@@ -425,12 +409,26 @@ class SeenMaterials {
     }
     return {major, minor};
   }
+  // How often `minor` is seen of the times that either is; 0 where they are one.
+  [[nodiscard]] std::optional<float> share_of_both(std::uint32_t major, std::uint32_t minor) const {
+    if (major == minor) { return 0.0F; }
+    const unsigned both = times(major) + times(minor);
+    if (both == 0) { return std::nullopt; }
+    return static_cast<float>(times(minor)) / static_cast<float>(both);
+  }
   [[nodiscard]] bool empty() const { return count_ == 0; }
   [[nodiscard]] float share(unsigned times) const {
     return total_ > 0 ? static_cast<float>(times) / static_cast<float>(total_) : 0.0F;
   }
 
  private:
+  [[nodiscard]] unsigned times(std::uint32_t material) const {
+    for (std::size_t i = 0; i < count_; ++i) {
+      if (seen_[i].material == material) { return seen_[i].times; }
+    }
+    return 0;
+  }
+
   std::array<Seen, 8> seen_{};
   std::size_t count_ = 0;
   unsigned total_ = 0;
@@ -527,18 +525,6 @@ Spread spread_along(const Vec3& normal, const Selection& selection) {
   return {static_cast<float>(sum / weight), high - low};
 }
 
-// What normal . x may be inside the bounds.
-struct PlaneRange {
-  float low = 0.0F;
-  float high = 0.0F;
-};
-
-PlaneRange plane_range(const Vec3& normal, const Aabb& bounds) {
-  const float middle = glm::dot(normal, 0.5F * (bounds.low + bounds.high));
-  const float half = glm::dot(glm::abs(normal), 0.5F * bounds.extent());
-  return {middle - half, middle + half};
-}
-
 // Weights in a record's error of what it guesses about materials; most of all, whether a surface is
 // the lamp or what the lamp hangs from, as rays to the lamp make up a good part of all rays.
 constexpr float kMaterialWeight = 0.5F;
@@ -572,7 +558,7 @@ struct PlaneCover {
 // Opaque squares, as many as the covered samples fill and where they are densest: a wall must not
 // let a share of all rays through because it has a door. Where that places too many samples
 // wrongly, as on a grating, every square that holds any is partly transparent instead.
-PlaneCover cover_plane(const SampleBits& bits, const SeenPlane& plane) {
+PlaneCover cover_plane(const SampleBits& bits) {
   constexpr int kSquareSamples = static_cast<int>(kSamples * kSamples) / 64;
   constexpr float kAllSamples = static_cast<float>(kSamples * kSamples);
   constexpr float kMisplacedMax = 0.25F;
@@ -608,10 +594,9 @@ PlaneCover cover_plane(const SampleBits& bits, const SeenPlane& plane) {
       static_cast<float>(misplaced) <= kMisplacedMax * static_cast<float>(covered)) {
     return opaque;
   }
-  const int samples = SampleBits::count_plane(any, plane);
+  const int samples = kSquareSamples * std::popcount(any);
   const float coverage =
-      samples > 0 ? std::min(1.0F, static_cast<float>(covered) / static_cast<float>(samples))
-                  : 0.0F;
+      samples > 0 ? static_cast<float>(covered) / static_cast<float>(samples) : 0.0F;
   const float share = static_cast<float>(std::popcount(any)) / 64.0F;
   return {any, coverage, share * coverage * (1.0F - coverage)};
 }
@@ -623,7 +608,7 @@ float set_flat(Summary& summary, const Selection& selection, const Spread& sprea
   const PlaneRange range = plane_range(normal, bounds);
   const float at = (spread.mean - range.low) / (range.high - range.low);
   record.shape |= kShapeFlat;
-  record.plane_offset = static_cast<std::uint16_t>(std::clamp(at, 0.0F, 1.0F) * 65535.0F + 0.5F);
+  set_record_plane(record, at);
   const float thickness = spread.range / glm::length(bounds.extent());
   // Rounded up, as rays must clear all of it; but what is flat up to rounding stays so.
   record.thickness =
@@ -637,9 +622,7 @@ float set_flat(Summary& summary, const Selection& selection, const Spread& sprea
       bits.add(row, first, last);
     });
   });
-  const Vec3 on_plane = normal * record_plane_offset(record, normal, bounds);
-  const PlaneCover cover =
-      cover_plane(bits, SeenPlane(axes, frame.normal(normal), frame.point(on_plane)));
+  const PlaneCover cover = cover_plane(bits);
   store_mask(record, cover.mask);
   record.coverage[0] = code_255(cover.coverage);
   const float unknown = thickness + cover.unknown;
@@ -656,30 +639,57 @@ float set_scattered_materials(Summary& summary, const Selection& selection,
       sides[static_cast<std::size_t>(axis)].add(sampled, axes_along(axis));
     }
   });
-  SeenMaterials materials;
+  SeenMaterials all;
   for (const SeenSides& pair : sides) {
-    pair.see_from_above(materials);
-    pair.see_from_below(materials);
+    pair.see_from_below(all);
+    pair.see_from_above(all);
   }
-  if (materials.empty()) { return 0.0F; }
-  const auto most = materials.most();
+  if (all.empty()) { return 0.0F; }
+  const auto most = all.most();
   summary.materials = {most[0].material, most[1].material};
-  summary.record.minor_share = code_255(static_cast<float>(most[1].times) /
-                                        static_cast<float>(most[0].times + most[1].times));
-  return kMaterialWeight * materials.share(most[1].times);
+  const float share_mean =
+      static_cast<float>(most[1].times) / static_cast<float>(most[0].times + most[1].times);
+  const auto code_15 = [&](const SeenMaterials& side) {
+    const float share = side.share_of_both(most[0].material, most[1].material).value_or(share_mean);
+    return static_cast<unsigned>(share * 15.0F + 0.5F);
+  };
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    SeenMaterials below;
+    SeenMaterials above;
+    sides[axis].see_from_below(below);
+    sides[axis].see_from_above(above);
+    summary.record.place[axis] = static_cast<std::uint8_t>(code_15(below) | code_15(above) << 4U);
+  }
+  return kMaterialWeight * all.share(most[1].times);
 }
 
 // 0 where all normals lie along axes, 1 where they are as those of a sphere, whose |x| + |y| + |z|
-// is 3/2 on average, or further from the axes yet.
-float roundness_of(const Selection& selection) {
+// is 3/2 on average, or further from the axes yet. Of the pieces that `wanted` holds for, 0
+// without.
+template <class Wanted>
+float roundness_of(const Selection& selection, Wanted&& wanted) {
   float sum = 0.0F;
   float area = 0.0F;
   selection.for_each([&](const Piece& piece) {
+    if (!wanted(piece)) { return; }
     const Vec3 normal = glm::abs(piece.normal);
     sum += normal.x + normal.y + normal.z;
     area += piece.twice_area;
   });
-  return std::clamp(2.0F * (sum / area - 1.0F), 0.0F, 1.0F);
+  return area > 0.0F ? std::clamp(2.0F * (sum / area - 1.0F), 0.0F, 1.0F) : 0.0F;
+}
+
+void set_roundness(Summary& summary, const Selection& selection) {
+  ProxyRecord& record = summary.record;
+  record.thickness = code_255(roundness_of(selection, [](const Piece&) { return true; }));
+  const auto code_7 = [&](std::uint32_t material) {
+    const float roundness = roundness_of(
+        selection, [material](const Piece& piece) { return piece.material == material; });
+    return static_cast<unsigned>(roundness * 7.0F + 0.5F);
+  };
+  const unsigned codes = code_7(summary.materials[0]) << kShapeMajorRoundness |
+                         code_7(summary.materials[1]) << kShapeMinorRoundness;
+  record.shape = static_cast<std::uint8_t>(record.shape | codes);
 }
 
 float set_scattered(Summary& summary, const Selection& selection, const Aabb& bounds,
@@ -695,7 +705,6 @@ float set_scattered(Summary& summary, const Selection& selection, const Aabb& bo
     }
   });
   store_mask(record, blocks);
-  record.thickness = code_255(roundness_of(selection));
   float unknown = 0.0F;
   for (int axis = 0; axis < 3; ++axis) {
     const auto i = static_cast<std::size_t>(axis);
@@ -706,7 +715,9 @@ float set_scattered(Summary& summary, const Selection& selection, const Aabb& bo
     const float occupied = static_cast<float>(16 - columns[0]) / 16.0F;
     unknown += occupied * (0.25F + stopped * (1.0F - stopped)) / 3.0F;
   }
-  return has_one_material ? unknown : unknown + set_scattered_materials(summary, selection, frame);
+  if (!has_one_material) { unknown += set_scattered_materials(summary, selection, frame); }
+  set_roundness(summary, selection);
+  return unknown;
 }
 
 Summary summarise(const Selection& selection, const Aabb& cell) {
@@ -1193,23 +1204,19 @@ Vec3 record_normal(const ProxyRecord& record) {
   return decode_normal(record.normal[0] | static_cast<std::uint32_t>(record.normal[1]) << 16U);
 }
 
-std::uint64_t record_mask(const ProxyRecord& record) {
-  std::uint64_t mask = 0;
-  for (std::size_t part = record.mask.size(); part-- > 0;) {
-    mask = mask << 16U | record.mask[part];
-  }
-  return mask;
+float record_roundness(const ProxyRecord& record, bool of_minor) {
+  const unsigned code = record.shape >> (of_minor ? kShapeMinorRoundness : kShapeMajorRoundness);
+  return static_cast<float>(code & 7U) / 7.0F;
 }
 
-FlatAxes flat_axes(const Vec3& normal) {
-  const Vec3 a = glm::abs(normal);
-  return axes_along(a.x >= a.y ? (a.x >= a.z ? 0 : 2) : (a.y >= a.z ? 1 : 2));
+float record_minor_share(const ProxyRecord& record, int axis, bool from_low_side) {
+  const unsigned shares = record.place[static_cast<std::size_t>(axis)];
+  return static_cast<float>(from_low_side ? shares & 15U : shares >> 4U) / 15.0F;
 }
 
-float record_plane_offset(const ProxyRecord& record, const Vec3& normal, const Aabb& bounds) {
-  const PlaneRange range = plane_range(normal, bounds);
-  return range.low +
-         (range.high - range.low) * (static_cast<float>(record.plane_offset) * (1.0F / 65535.0F));
+void set_record_plane(ProxyRecord& record, float share) {
+  const auto offset = static_cast<unsigned>(std::clamp(share, 0.0F, 1.0F) * 65535.0F + 0.5F);
+  record.place = {static_cast<std::uint8_t>(offset), static_cast<std::uint8_t>(offset >> 8U), 0};
 }
 
 Proxy build_proxy(const Scene& scene, const Octree& octree,

@@ -47,19 +47,24 @@ struct ProxyRecord {
   std::array<std::uint16_t, 4> mask{};    // flat: 8 x 8 squares of the face that the plane's normal
                                           // sees most of; scattered: 4 x 4 x 4 blocks. Bit of
                                           // (x, y, z): see flat_bit and block_bit
-  std::uint16_t plane_offset = 0;         // 65535ths of the range of normal . x over the bounds
   std::uint16_t material_major = 0;   // into Proxy::materials. Flat: what the normal's side shows
   std::uint16_t material_minor = 0;   // most, and the other side; scattered: the two seen most
   std::array<std::uint8_t, 3> low{};  // bounds in 255ths of the cell, rounded outwards
   std::array<std::uint8_t, 3> high{};
   std::array<std::uint8_t, 3> coverage{};  // 255ths
-  std::uint8_t minor_share = 0;            // scattered: how often it is seen of both, 255ths
+  // Flat: 65535ths of the range of normal . x over the bounds at which the plane lies, low byte
+  // first. Scattered: of each axis, how often the minor material is seen of both, 15ths, from the
+  // low side (low half of the byte) and from the high side.
+  std::array<std::uint8_t, 3> place{};
   // Flat: its thickness across the plane, 255ths of the diagonal; scattered: its roundness, 255ths.
   std::uint8_t thickness = 0;
   std::uint8_t shape = 0;  // kShape* bits
 };
 inline constexpr std::uint8_t kShapeFlat = 1;
 inline constexpr std::uint8_t kShapeOriented = 2;  // the normals agree on a side
+// Scattered: the roundness of either material's own surfaces, 7ths: a pipe's is not its wall's.
+inline constexpr unsigned kShapeMajorRoundness = 2;  // the lowest of three bits
+inline constexpr unsigned kShapeMinorRoundness = 5;
 static_assert(sizeof(ProxyRecord) == 30);
 
 [[nodiscard]] constexpr unsigned flat_bit(unsigned u, unsigned v) { return v * 8 + u; }
@@ -67,7 +72,14 @@ static_assert(sizeof(ProxyRecord) == 30);
   return (z * 4 + y) * 4 + x;
 }
 [[nodiscard]] Vec3 record_normal(const ProxyRecord& record);
-[[nodiscard]] std::uint64_t record_mask(const ProxyRecord& record);
+
+[[nodiscard]] inline std::uint64_t record_mask(const ProxyRecord& record) {
+  std::uint64_t mask = 0;
+  for (std::size_t part = record.mask.size(); part-- > 0;) {
+    mask = mask << 16U | record.mask[part];
+  }
+  return mask;
+}
 
 // The axis along which a flat record's mask looks, and the axes of its columns and rows.
 struct FlatAxes {
@@ -75,13 +87,40 @@ struct FlatAxes {
   int u = 1;
   int v = 2;
 };
-[[nodiscard]] FlatAxes flat_axes(const Vec3& normal);
+[[nodiscard]] constexpr FlatAxes axes_along(int axis) {
+  return {axis, axis == 2 ? 0 : axis + 1, axis == 0 ? 2 : axis - 1};
+}
+[[nodiscard]] inline FlatAxes flat_axes(const Vec3& normal) {
+  const Vec3 a = glm::abs(normal);
+  return axes_along(a.x >= a.y ? (a.x >= a.z ? 0 : 2) : (a.y >= a.z ? 1 : 2));
+}
 
 // Where the record's geometry lies, in the scene frame.
 [[nodiscard]] Aabb record_bounds(const ProxyRecord& record, const Aabb& cell);
+[[nodiscard]] float record_roundness(const ProxyRecord& record, bool of_minor);
+// How often a scattered record's minor material is seen of both by rays along the axis.
+[[nodiscard]] float record_minor_share(const ProxyRecord& record, int axis, bool from_low_side);
+
+// What normal . x may be inside the bounds.
+struct PlaneRange {
+  float low = 0.0F;
+  float high = 0.0F;
+};
+[[nodiscard]] inline PlaneRange plane_range(const Vec3& normal, const Aabb& bounds) {
+  const float middle = glm::dot(normal, 0.5F * (bounds.low + bounds.high));
+  const float half = glm::dot(glm::abs(normal), 0.5F * bounds.extent());
+  return {middle - half, middle + half};
+}
+
 // normal . x on a flat record's plane. `normal` is the record's, decoded.
-[[nodiscard]] float record_plane_offset(const ProxyRecord& record, const Vec3& normal,
-                                        const Aabb& bounds);
+[[nodiscard]] inline float record_plane_offset(const ProxyRecord& record, const Vec3& normal,
+                                               const Aabb& bounds) {
+  const PlaneRange range = plane_range(normal, bounds);
+  const auto offset = static_cast<float>(record.place[0] | unsigned{record.place[1]} << 8U);
+  return range.low + (range.high - range.low) * (offset * (1.0F / 65535.0F));
+}
+// `share` in [0,1] of the range of normal . x over the bounds.
+void set_record_plane(ProxyRecord& record, float share);
 
 struct ProxyNode {
   Aabb bounds{};                // of the geometry below

@@ -52,14 +52,14 @@ bool is_loopback(const Endpoint& endpoint) {
          host.find_first_not_of("0123456789.") == std::string_view::npos;
 }
 
-Result<Endpoint> check_endpoint(const std::string& text, bool insecure_no_auth) {
+Result<Endpoint> check_endpoint(const std::string& text, bool reach_settled) {
   Result<Endpoint> endpoint = parse_endpoint(text);
-  if (endpoint && !insecure_no_auth && !is_loopback(*endpoint)) {
-    return fail(
-        ExitCode::kUsage,
-        fmt::format("{} is not a loopback address and connections are neither encrypted nor "
-                    "authenticated: give --insecure-no-auth to use it all the same",
-                    text));
+  if (endpoint && !reach_settled && !is_loopback(*endpoint)) {
+    return fail(ExitCode::kUsage,
+                fmt::format("{} is not a loopback address, and without keys connections are "
+                            "neither encrypted nor authenticated: give --keys DIR with keys from "
+                            "`preheat keygen DIR`, or --insecure-no-auth to do without",
+                            text));
   }
   return endpoint;
 }

@@ -13,6 +13,7 @@
 #include <span>
 #include <string>
 
+#include "common/keys.h"
 #include "common/messages.h"
 #include "common/result.h"
 
@@ -32,6 +33,8 @@ struct Payload {
 
 struct Received {
   SessionId session{};  // who sent it; at a worker always the worker's own
+  // Whose key the sender holds, on a listening channel of a transport with keys.
+  std::optional<KeyRole> role{};
   Payload head{};
   Payload data{};
 };
@@ -40,6 +43,14 @@ enum class SendOutcome : std::uint8_t {
   kSent,
   kFull,  // back-pressure: try again later
   kGone   // no such peer (any more)
+};
+
+// How connecting went so far, as far as the other side lets us know.
+struct Handshakes {
+  // Not empty: the other side will not have us, and trying again does not help.
+  std::string refused{};
+  // Connections that ended before both sides had proven themselves, since the last that stood.
+  std::uint64_t broken = 0;
 };
 
 class Channel {
@@ -53,6 +64,8 @@ class Channel {
   // The address others connect to, with the port that the system chose.
   [[nodiscard]] virtual std::string endpoint() const = 0;
   [[nodiscard]] virtual std::uint64_t dropped() const = 0;
+  // Of a connecting channel.
+  [[nodiscard]] virtual const Handshakes& handshakes() = 0;
 };
 
 class Transport {
@@ -69,6 +82,8 @@ class Transport {
   // the time is over.
   virtual void wait(std::span<Channel* const> channels, int event_fd,
                     std::chrono::milliseconds timeout) = 0;
+  // Connections that were turned away for their key, or for having none.
+  [[nodiscard]] virtual std::uint64_t denied() const = 0;
 };
 
 // tcp://HOST:PORT, taken apart. HOST may be a name, an IPv4 address or [an IPv6 address].
@@ -81,10 +96,11 @@ struct Endpoint {
 // kUsage with the reason if it is not an endpoint.
 [[nodiscard]] Result<Endpoint> parse_endpoint(const std::string& text);
 
-// Reached from this machine only. Everything else wants `--insecure-no-auth`.
+// Reached from this machine only. Everything else wants keys or `--insecure-no-auth`.
 [[nodiscard]] bool is_loopback(const Endpoint& endpoint);
 
-// kUsage unless the endpoint is well formed and loopback, or `insecure_no_auth` was spelled out.
-[[nodiscard]] Result<Endpoint> check_endpoint(const std::string& text, bool insecure_no_auth);
+// kUsage unless the endpoint is well formed and loopback, or `reach_settled`: there are keys, or
+// `--insecure-no-auth` was spelled out.
+[[nodiscard]] Result<Endpoint> check_endpoint(const std::string& text, bool reach_settled);
 
 }  // namespace preheat

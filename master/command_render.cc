@@ -38,7 +38,7 @@ struct RenderOptions {
   std::optional<unsigned> workers{};
   std::string listen{};
   unsigned wait_workers = 1;
-  bool insecure_no_auth = false;
+  SecurityOptions security{};
   bool no_peers = false;
   std::string ledger{};
   CacheSize cache{};
@@ -74,6 +74,11 @@ std::string worker_program() {
   return error ? std::string("preheat-worker") : (own.parent_path() / "preheat-worker").string();
 }
 
+std::string security_of(const RenderOptions& options) {
+  return describe_security(options.listen.empty() ? MasterOptions{}.listen : options.listen,
+                           options.security);
+}
+
 MasterOptions master_options(const RenderOptions& options) {
   MasterOptions master;
   if (!options.listen.empty()) {
@@ -90,8 +95,9 @@ MasterOptions master_options(const RenderOptions& options) {
   master.tile_size = options.tile_size;
   master.count_accesses = options.count_accesses;
   master.worker_program = worker_program();
-  master.insecure_no_auth = options.insecure_no_auth;
   master.peers = !options.no_peers;
+  master.security = options.security;
+  if (!options.security.keys_folder.empty()) { master.reload_keys = &catch_reload_signal(); }
   master.ledger_file = options.ledger;
   return master;
 }
@@ -108,6 +114,7 @@ nlohmann::ordered_json settings_of(const RenderOptions& options) {
       {"exposure_ev", options.exposure_ev},
       {"isa", tracing_isa()}};
   if (!options.local) {
+    settings["security"] = security_of(options);
     settings["cache"] = options.cache_text;
     settings["peers"] = !options.no_peers;
     settings["preload"] = options.preload;
@@ -124,6 +131,14 @@ Result<void> check_before(const RenderOptions& options) {
     return tl::unexpected(format.error());
   }
   if (auto writable = check_output(options.output); !writable) { return writable; }
+  if (!options.listen.empty()) {
+    const auto listen = check_endpoint(options.listen, options.security.reach_settled());
+    if (!listen) { return tl::unexpected(listen.error()); }
+  }
+  if (!options.local && !options.security.keys_folder.empty()) {
+    const auto keys = load_keys(options.security.keys_folder, KeyRole::kMaster);
+    if (!keys) { return tl::unexpected(keys.error()); }
+  }
   return check_text_output(options.report);
 }
 
@@ -140,6 +155,7 @@ Result<Prediction> predict_for(const RenderOptions& options, const Store& store,
 
 ImageMetadata metadata_of(const RenderRecord& record) {
   const RenderSettings& settings = record.view->settings;
+  const auto security = record.settings.find("security");
   return {{"preheat.version", PREHEAT_VERSION},
           {"preheat.scene", record.store->info().source_file},
           {"preheat.scene_hash", to_string(record.store->scene_hash())},
@@ -148,6 +164,8 @@ ImageMetadata metadata_of(const RenderRecord& record) {
           {"preheat.bounces", fmt::format("{}", settings.bounces)},
           {"preheat.seed", fmt::format("{}", settings.seed)},
           {"preheat.isa", tracing_isa()},
+          {"preheat.security", security == record.settings.end() ? std::string("none (one process)")
+                                                                 : security->get<std::string>()},
           {"preheat.render_seconds", fmt::format("{:.3f}", record.seconds.render)},
           {"preheat.pixels_sha256", record.pixels_sha256}};
 }
@@ -220,12 +238,14 @@ void add_worker_options(CLI::App& command, RenderOptions& options) {
       ->capture_default_str()
       ->needs(listen)
       ->group(kGroup);
-  command
-      .add_flag("--insecure-no-auth", options.insecure_no_auth,
-                "Allow --listen on an address that is not loopback: nothing is encrypted or "
-                "authenticated")
-      ->needs(listen)
-      ->group(kGroup);
+  auto* const insecure =
+      command
+          .add_flag("--insecure-no-auth", options.security.insecure_no_auth,
+                    "Allow --listen on an address that is not loopback without keys: nothing is "
+                    "encrypted or authenticated")
+          ->needs(listen)
+          ->group(kGroup);
+  add_keys_option(command, options.security)->excludes(insecure)->group(kGroup);
   command
       .add_flag("--no-peers", options.no_peers,
                 "Every voxel comes from here: workers pass none on to each other")

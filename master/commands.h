@@ -18,8 +18,10 @@ void add_compare_command(CLI::App& app, Command& chosen);
 void add_compile_command(CLI::App& app, Command& chosen);
 void add_evaluate_command(CLI::App& app, Command& chosen);
 void add_inspect_command(CLI::App& app, Command& chosen);
+void add_keygen_command(CLI::App& app, Command& chosen);
 void add_predict_command(CLI::App& app, Command& chosen);
 void add_render_command(CLI::App& app, Command& chosen);
+void add_status_command(CLI::App& app, Command& chosen);
 
 // For --json and --csv: nothing asked for, "-" for stdout, or a file.
 [[nodiscard]] Result<void> check_text_output(const std::string& file);

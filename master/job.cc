@@ -87,6 +87,10 @@ void Job::on_control(const SessionId& from, const Envelope& frame, Time now) {
     handle_hello(from, *hello, now);
     return;
   }
+  if (std::holds_alternative<StatusRequest>(frame.message)) {
+    outgoing_.push_back({ChannelKind::kControl, from, status(now), {}});
+    return;
+  }
   Worker* worker = find(from);
   if (worker == nullptr || worker->presence == Presence::kAbsent || frame.job != options_.key) {
     const bool leaves = std::holds_alternative<Goodbye>(frame.message);
@@ -273,6 +277,7 @@ void Job::lose(Worker& worker, Loss loss, const char* why, Time now) {
        index_of(worker.id), leases_.held_count(worker.id));
   worker.presence = Presence::kAbsent;
   homes_stale_ = true;
+  ++workers_lost_;
   worker.assemblies.clear();
   if (loss == Loss::kSilent) {
     leases_.remove_worker(worker.id);
@@ -454,7 +459,7 @@ PeerAddress Job::peer_address(const Worker& worker, const Hello& hello) const {
   PeerAddress peer{worker.id, worker.session, {}};
   const std::string& endpoint = hello.peer_endpoint.text;
   if (!options_.peers || endpoint.empty()) { return peer; }
-  if (const auto fine = check_endpoint(endpoint, options_.insecure_no_auth); fine) {
+  if (const auto fine = check_endpoint(endpoint, options_.reach_settled); fine) {
     peer.endpoint.text = endpoint;
   } else {
     spdlog::warn("event=peer_address_refused worker={} reason=\"{}\"", index_of(worker.id),
@@ -617,6 +622,27 @@ MasterProgress Job::progress(Time now) const {
   }
   if (first_lease_) { progress.seconds = seconds(now - *first_lease_); }
   return progress;
+}
+
+Status Job::status(Time now) const {
+  const MasterProgress so_far = progress(now);
+  Status status;
+  status.build.text = options_.build;
+  status.phase = phase_;
+  status.tiles_done = so_far.tiles_done;
+  status.tiles_total = so_far.tiles_total;
+  status.workers = so_far.workers;
+  status.workers_lost = workers_lost_;
+  status.leases_expired = leases_.stats().expired;
+  status.rays = so_far.rays;
+  for (const auto& worker : workers_) {
+    status.workers_ready += worker->presence == Presence::kReady ? 1U : 0U;
+    status.accesses += worker->stats.cache.accesses;
+    status.misses += worker->stats.cache.misses;
+  }
+  status.waiting_seconds = seconds(first_lease_.value_or(now) - begin_);
+  status.rendering_seconds = so_far.seconds;
+  return status;
 }
 
 Result<MasterResult> Job::take_result() {

@@ -60,7 +60,7 @@ struct JobOptions {
   std::uint64_t self_test = 0;
   Timers timers{};
   bool peers = true;                                 // workers pass voxels on to each other
-  bool insecure_no_auth = false;                     // also on addresses that are not loopback
+  bool reach_settled = false;                        // also on addresses that are not loopback
   std::uint64_t seed = 0;                            // of the lease ids
   std::function<void(const std::string&)> ledger{};  // one JSON line per event; may be empty
 };
@@ -85,6 +85,7 @@ class Job {
   [[nodiscard]] const JobKey& key() const { return options_.key; }
   [[nodiscard]] bool over() const { return phase_ == Phase::kOver; }
   [[nodiscard]] MasterProgress progress(Time now) const;
+  [[nodiscard]] Status status(Time now) const;
   // Requires: over(). Once.
   [[nodiscard]] Result<MasterResult> take_result();
 
@@ -93,7 +94,7 @@ class Job {
   static constexpr std::size_t kSessionsMax = 16384;  // ever
   static constexpr std::size_t kChildrenMax = 2;      // of a worker that passes the hot set on
 
-  enum class Phase : std::uint8_t { kWaiting, kRendering, kFarewell, kOver };
+  using Phase = JobPhase;
   enum class Presence : std::uint8_t { kPreparing, kReady, kAbsent };
 
   // A tile's bytes as they come in.
@@ -175,6 +176,7 @@ class Job {
   std::vector<std::unique_ptr<Worker>> workers_;  // by WorkerId
   std::map<std::pair<std::uint64_t, std::uint64_t>, WorkerId> by_session_;
   std::vector<Outgoing> outgoing_;
+  std::uint32_t workers_lost_ = 0;
   Time begin_;
   Time tick_last_;
   Time heartbeat_last_;

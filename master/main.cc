@@ -1,4 +1,4 @@
-// `preheat`: compiles, inspects, predicts, evaluates, renders and compares. See README.md.
+// `preheat`: one program, one file per command. See README.md.
 #include <fmt/format.h>
 
 #include <CLI/CLI.hpp>
@@ -49,6 +49,8 @@ int run(int argument_count, char** arguments) {
   add_evaluate_command(app, chosen);
   add_render_command(app, chosen);
   add_compare_command(app, chosen);
+  add_keygen_command(app, chosen);
+  add_status_command(app, chosen);
   app.footer(
       "`preheat COMMAND --help` explains a command.\n"
       "Exit codes: 0 done, 1 failed, 2 usage, 3 no workers in time, 4 master gone, "

@@ -131,23 +131,51 @@ class Outbox {
   std::map<std::pair<std::uint64_t, std::uint64_t>, std::deque<Queued>> queues_;
 };
 
+// Who may enter; read again while running.
+struct Guard {
+  std::string folder{};
+  std::shared_ptr<AllowList> allowed{};  // nullptr without keys
+  std::atomic<bool>* reload = nullptr;
+
+  // An unreadable list changes nothing: who is inside stays, and the error is told.
+  void look_again() const {
+    if (!allowed || reload == nullptr || !reload->exchange(false)) { return; }
+    const auto workers = load_authorized_workers(folder);
+    if (!workers) {
+      spdlog::error("event=keys_not_reloaded reason=\"{}\"", workers.error().message);
+      return;
+    }
+    allowed->set_workers(*workers);
+    spdlog::warn("event=keys_reloaded workers={}", workers->size());
+  }
+};
+
+struct Channels {
+  std::unique_ptr<Channel> control{};
+  std::unique_ptr<Channel> bulk{};
+};
+
 class MasterLoop {
  public:
-  MasterLoop(std::unique_ptr<Transport> transport, std::unique_ptr<Channel> control,
-             std::unique_ptr<Channel> bulk, JobOptions options, JobScene scene)
+  MasterLoop(std::unique_ptr<Transport> transport, Guard guard, Channels channels,
+             JobOptions options, JobScene scene)
       : transport_(std::move(transport)),
-        control_(std::move(control)),
-        bulk_(std::move(bulk)),
+        guard_(std::move(guard)),
+        control_(std::move(channels.control)),
+        bulk_(std::move(channels.bulk)),
         control_out_(*control_),
         bulk_out_(*bulk_),
         timers_(options.timers),
         job_(std::move(options), std::move(scene), Clock::now()) {}
 
   Result<void> start_workers(const MasterOptions& options) {
+    std::vector<std::string> arguments{"--connect", control_->endpoint(), "--threads",
+                                       std::to_string(options.threads_per_worker)};
+    if (!options.security.keys_folder.empty()) {
+      arguments.insert(arguments.end(), {"--keys", options.security.keys_folder});
+    }
     for (unsigned i = 0; i < options.workers_to_start; ++i) {
-      const Result<void> started =
-          children_.start(options.worker_program, {"--connect", control_->endpoint(), "--threads",
-                                                   std::to_string(options.threads_per_worker)});
+      const Result<void> started = children_.start(options.worker_program, arguments);
       if (!started) { return started; }
     }
     return {};
@@ -164,6 +192,7 @@ class MasterLoop {
       }
       if (now - tick_last_ >= kBetweenTicks) {
         tick_last_ = now;
+        guard_.look_again();
         for (const WorkerProcesses::Ended& ended : children_.reap()) {
           job_.on_child_ended(static_cast<std::uint32_t>(ended.pid), ended.how, children_.running(),
                               now);
@@ -184,7 +213,9 @@ class MasterLoop {
     children_.end_all(timers_.farewell, timers_.kill_grace);
     const std::uint64_t dropped = control_->dropped() + bulk_->dropped() + frames_dropped_;
     if (dropped > 0) { spdlog::warn("event=unsound_messages_dropped count={}", dropped); }
-    return job_.take_result();
+    Result<MasterResult> result = job_.take_result();
+    if (result) { result->connections_denied = transport_->denied(); }
+    return result;
   }
 
  private:
@@ -198,12 +229,20 @@ class MasterLoop {
         if (frame.error().fault == FrameFault::kVersion && kind == ChannelKind::kControl) {
           job_.on_other_version(received->session, frame.error().version);
         }
+      } else if (!may_say(received->role, *frame)) {
+        ++frames_dropped_;
       } else if (kind == ChannelKind::kControl) {
         job_.on_control(received->session, *frame, Clock::now());
       } else {
         job_.on_bulk(received->session, *frame, received->data, Clock::now());
       }
     }
+  }
+
+  // With keys, a worker's may not ask for the status and the master's own may ask for nothing else.
+  static bool may_say(std::optional<KeyRole> role, const Envelope& frame) {
+    if (!role) { return true; }
+    return std::holds_alternative<StatusRequest>(frame.message) == (*role == KeyRole::kMaster);
   }
 
   void send(Time now) {
@@ -224,6 +263,7 @@ class MasterLoop {
   }
 
   std::unique_ptr<Transport> transport_;
+  Guard guard_;
   std::unique_ptr<Channel> control_;
   std::unique_ptr<Channel> bulk_;
   Outbox control_out_;
@@ -253,11 +293,6 @@ Result<void> check_options(const MasterOptions& options, const RenderSettings& s
   }
   return {};
 }
-
-struct Channels {
-  std::unique_ptr<Channel> control{};
-  std::unique_ptr<Channel> bulk{};
-};
 
 Result<Channels> open_channels(Transport& transport, const Endpoint& listen) {
   auto control = transport.listen(listen.text(), ChannelKind::kControl);
@@ -291,7 +326,7 @@ JobOptions job_options(const MasterOptions& options, const RenderSettings& setti
   job.timers = Timers{}.scaled(time_scale());
   job.seed = random_bits();
   job.peers = options.peers;
-  job.insecure_no_auth = options.insecure_no_auth;
+  job.reach_settled = options.security.reach_settled();
   return job;
 }
 
@@ -330,8 +365,6 @@ Result<MasterResult> run_master(const Store& store, const RenderSettings& settin
                                 const std::atomic<int>& stop_signal,
                                 const std::function<void(const MasterProgress&)>& progress) {
   if (auto fine = check_options(options, settings); !fine) { return tl::unexpected(fine.error()); }
-  const Result<Endpoint> listen = check_endpoint(options.listen, options.insecure_no_auth);
-  if (!listen) { return tl::unexpected(listen.error()); }
   std::ofstream ledger;
   if (!options.ledger_file.empty()) {
     ledger.open(options.ledger_file);
@@ -340,9 +373,12 @@ Result<MasterResult> run_master(const Store& store, const RenderSettings& settin
                   fmt::format("cannot write the ledger {}", options.ledger_file));
     }
   }
-  std::unique_ptr<Transport> transport = make_zmq_transport();
-  Result<Channels> channels = open_channels(*transport, *listen);
+  Result<SecureTransport> opened =
+      open_transport(options.listen, options.security, KeyRole::kMaster);
+  if (!opened) { return tl::unexpected(opened.error()); }
+  Result<Channels> channels = open_channels(*opened->transport, opened->endpoint);
   if (!channels) { return tl::unexpected(channels.error()); }
+  Guard guard{options.security.keys_folder, opened->allowed, options.reload_keys};
 
   const std::size_t sharers =
       options.peers ? std::max(options.workers_to_start, options.wait_workers) : 0;
@@ -354,7 +390,7 @@ Result<MasterResult> run_master(const Store& store, const RenderSettings& settin
   // Where nobody is started, somebody must be told where to go.
   spdlog::log(options.workers_to_start == 0 ? spdlog::level::warn : spdlog::level::info,
               "event=listening control={} bulk={}", job.address, channels->bulk->endpoint());
-  MasterLoop loop{std::move(transport), std::move(channels->control), std::move(channels->bulk),
+  MasterLoop loop{std::move(opened->transport), std::move(guard), *std::move(channels),
                   std::move(job),
                   job_scene(store, planner, fetches_of(store, prediction, settings, options))};
   if (auto started = loop.start_workers(options); !started) {

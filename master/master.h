@@ -14,6 +14,7 @@
 #include "common/film.h"
 #include "common/render_settings.h"
 #include "common/result.h"
+#include "common/secure_transport.h"
 #include "common/stats.h"
 #include "common/store.h"
 
@@ -38,10 +39,12 @@ struct MasterOptions {
   double preload_share = -1.0;  // negative = auto
   std::uint32_t tile_size = 32;
   AccessCounting count_accesses = AccessCounting::kSampled;
-  std::string worker_program{};   // path of preheat-worker
-  bool peers = true;              // workers pass voxels on to each other
-  bool insecure_no_auth = false;  // listen elsewhere than on loopback
-  std::string ledger_file{};      // one JSON line per lease, result, join and leave; empty = none
+  std::string worker_program{};  // path of preheat-worker
+  bool peers = true;             // workers pass voxels on to each other
+  SecurityOptions security{};
+  // Set from outside (SIGHUP): the allow-list is read again. nullptr = never.
+  std::atomic<bool>* reload_keys = nullptr;
+  std::string ledger_file{};  // one JSON line per lease, result, join and leave; empty = none
 };
 
 // For the progress line; called at most ten times a second.
@@ -77,6 +80,7 @@ struct MasterResult {
   // Rays that entered each voxel, [voxel_count], scaled up where sampled; empty where not known:
   // workers send their sums, not their voxels'.
   std::vector<double> accesses_by_voxel{};
+  std::uint64_t connections_denied = 0;  // for their key, or for having none
   std::vector<TileId> poisoned_tiles{};  // given up and black: the program ends with kPoisonedTile
 };
 

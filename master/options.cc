@@ -103,6 +103,15 @@ Result<std::string> parse_address(const std::string& text) {
   return fail_to_parse(text, "an address such as tcp://127.0.0.1:5555");
 }
 
+CLI::Option* add_keys_option(CLI::App& app, SecurityOptions& security) {
+  return app
+      .add_option("--keys", security.keys_folder,
+                  "Folder made by `preheat keygen`: every connection is encrypted, and only who "
+                  "holds a listed key takes part")
+      ->type_name("DIR")
+      ->envname("PREHEAT_KEYS");
+}
+
 void add_view_options(CLI::App& app, ViewOptions& view) {
   constexpr const char* kGroup = "View";
   app.option_defaults()->multi_option_policy(CLI::MultiOptionPolicy::TakeLast);

@@ -11,6 +11,7 @@
 #include "common/byte_size.h"
 #include "common/limits.h"
 #include "common/result.h"
+#include "common/secure_transport.h"
 #include "common/vec3.h"
 #include "master/master.h"
 
@@ -57,6 +58,9 @@ template <class Number>
 CLI::Validator in_range(Number low, Number high) {
   return CLI::Range(low, high).description("");
 }
+
+// --keys, or the environment's PREHEAT_KEYS.
+CLI::Option* add_keys_option(CLI::App& app, SecurityOptions& security);
 
 // From where, how large and how well to look. What is absent is decided by the scene.
 struct ViewOptions {

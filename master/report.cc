@@ -205,6 +205,7 @@ nlohmann::ordered_json make_report(const RenderRecord& record) {
                       {"expired", result.leases.expired},
                       {"duplicates", result.leases.duplicates},
                       {"mismatches", result.leases.mismatches}};
+  report["connections_denied"] = result.connections_denied;
   report["rays"] = rays_json(sum.rays);
   report["time"] = {{"compile", record.seconds.compile},
                     {"predict", record.seconds.predict},

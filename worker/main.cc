@@ -78,8 +78,17 @@ int main(int argc, char** argv) {
   app.add_option("--peer-listen", options.peer_listen,
                  "Where other workers ask this one for voxels, tcp://HOST:PORT, port 0 = any; "
                  "without it any port of the address that the way to the master begins at");
-  app.add_flag("--insecure-no-auth", options.insecure_no_auth,
-               "Allow an address that is not loopback: nothing is encrypted or authenticated");
+  app.add_flag("--keep", options.keep,
+               "Stay when the job is done or the master is gone, and serve the next master at "
+               "this address; ends by a signal, or with 4 or 7 when refused");
+  auto* const insecure = app.add_flag("--insecure-no-auth", options.security.insecure_no_auth,
+                                      "Allow an address that is not loopback without keys: "
+                                      "nothing is encrypted or authenticated");
+  app.add_option("--keys", options.security.keys_folder,
+                 "Folder made by `preheat keygen`; this program reads DIR/worker")
+      ->type_name("DIR")
+      ->envname("PREHEAT_KEYS")
+      ->excludes(insecure);
   app.set_version_flag("--version", std::string("preheat-worker ") + preheat::build_version());
   try {
     app.parse(argc, argv);

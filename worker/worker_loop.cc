@@ -40,28 +40,36 @@ bool is_any_address(const std::string& host) {
   return host == "*" || host == "0.0.0.0" || host == "[::]";
 }
 
+// `kept` is the socket that served under the master before, if any. At an address of the user's own
+// it stays: ZeroMQ lets go of a port only some time after the socket is closed.
 Result<PeerListener> listen_for_peers(Transport& transport, const WorkerOptions& options,
-                                      const Endpoint& master) {
+                                      const Endpoint& master, std::unique_ptr<Channel> kept) {
+  const bool wished = !options.peer_listen.empty();
+  if (!wished) { kept.reset(); }
   const auto begin = [&]() -> Result<PeerListener> {
     Result<std::string> own = local_address_towards(master);
     Endpoint wish{own ? *own : std::string{}, 0};
-    if (!options.peer_listen.empty()) {
-      const Result<Endpoint> asked = check_endpoint(options.peer_listen, options.insecure_no_auth);
+    if (wished) {
+      const Result<Endpoint> asked =
+          check_endpoint(options.peer_listen, options.security.reach_settled());
       if (!asked) { return tl::unexpected(asked.error()); }
       wish = *asked;
     }
     if (!own && (wish.host.empty() || is_any_address(wish.host))) {
       return tl::unexpected(own.error());
     }
-    auto channel = transport.listen(wish.text(), ChannelKind::kPeer);
-    if (!channel) { return tl::unexpected(channel.error()); }
-    const Result<Endpoint> bound = parse_endpoint((*channel)->endpoint());
+    if (!kept) {
+      auto channel = transport.listen(wish.text(), ChannelKind::kPeer);
+      if (!channel) { return tl::unexpected(channel.error()); }
+      kept = *std::move(channel);
+    }
+    const Result<Endpoint> bound = parse_endpoint(kept->endpoint());
     if (!bound) { return tl::unexpected(bound.error()); }
     const Endpoint told{is_any_address(wish.host) ? *own : wish.host, bound->port};
-    return PeerListener{std::move(*channel), told.text()};
+    return PeerListener{std::move(kept), told.text()};
   };
   Result<PeerListener> listener = begin();
-  if (listener || !options.peer_listen.empty()) { return listener; }
+  if (listener || wished) { return listener; }
   spdlog::warn("event=no_peer_socket reason=\"{}\"", listener.error().message);
   return PeerListener{};
 }
@@ -83,19 +91,20 @@ Hello hello_of(const WorkerOptions& options, const std::string& peer_endpoint) {
 
 class WorkerLoop {
  public:
-  WorkerLoop(const WorkerOptions& options, Endpoint master, const Hello& hello, int wake_fd,
-             std::unique_ptr<Transport> transport, std::unique_ptr<Channel> peers_in)
-      : master_(std::move(master)),
+  // `opened` and `peers_in` outlive this; `peers_in` is nullptr where nobody is served.
+  WorkerLoop(const WorkerOptions& options, SecureTransport& opened, const Hello& hello, int wake_fd,
+             Channel* peers_in)
+      : master_(opened.endpoint),
         session_id_(hello.session),
         wake_fd_(wake_fd),
-        insecure_no_auth_(options.insecure_no_auth),
+        reach_settled_(options.security.reach_settled()),
         session_(hello, Timers{}.scaled(time_scale()), from_seconds(options.give_up_seconds),
                  Clock::now()),
-        transport_(std::move(transport)),
-        peers_in_(std::move(peers_in)) {}
+        transport_(*opened.transport),
+        peers_in_(peers_in) {}
 
   Result<void> run(const std::atomic<int>& stop_signal) {
-    auto control = transport_->connect(master_.text(), ChannelKind::kControl, session_id_);
+    auto control = transport_.connect(master_.text(), ChannelKind::kControl, session_id_);
     if (!control) { return tl::unexpected(control.error()); }
     control_ = std::move(*control);
     while (!finish_) {
@@ -110,10 +119,14 @@ class WorkerLoop {
     return fail(finish_->code, finish_->text);
   }
 
+  // After run(): whether the next master at the same address may want this worker.
+  [[nodiscard]] bool next_master() const { return finish_ && finish_->next_master; }
+
  private:
   // One round: hear, look at the renderer, think, do, say.
   void turn() {
     tell_counts();
+    session_.on_handshakes(control_->handshakes());
     receive(control_.get(), ChannelKind::kControl);
     receive(bulk_.get(), ChannelKind::kBulk);
     receive_from_peers();
@@ -157,7 +170,7 @@ class WorkerLoop {
   }
 
   void receive_from_peers() {
-    for (std::size_t i = 0; peers_in_ && i < kReceivedPerTurn; ++i) {
+    for (std::size_t i = 0; peers_in_ != nullptr && i < kReceivedPerTurn; ++i) {
       const std::optional<Received> received = peers_in_->receive();
       if (!received) { break; }
       // Whoever sends no sense is not answered.
@@ -188,7 +201,7 @@ class WorkerLoop {
   void perform(const ConnectBulk& connect) {
     Endpoint endpoint = master_;
     endpoint.port = connect.port;
-    auto bulk = transport_->connect(endpoint.text(), ChannelKind::kBulk, session_id_);
+    auto bulk = transport_.connect(endpoint.text(), ChannelKind::kBulk, session_id_);
     if (!bulk) {
       finish_ = Finish{bulk.error().code, bulk.error().message};
       return;
@@ -200,9 +213,9 @@ class WorkerLoop {
   void perform(const ConnectPeer& connect) {
     const PeerAddress& peer = connect.peer;
     // The master's word does not open what the user keeps shut. Who cannot be reached is silent.
-    const Result<Endpoint> endpoint = check_endpoint(peer.endpoint.text, insecure_no_auth_);
+    const Result<Endpoint> endpoint = check_endpoint(peer.endpoint.text, reach_settled_);
     if (!endpoint) { return; }
-    auto channel = transport_->connect(endpoint->text(), ChannelKind::kPeer, session_id_);
+    auto channel = transport_.connect(endpoint->text(), ChannelKind::kPeer, session_id_);
     if (!channel) { return; }
     peers_out_[key_of(peer.session)] = {peer.session, std::move(*channel), {}};
   }
@@ -307,10 +320,10 @@ class WorkerLoop {
   void wait() {
     std::vector<Channel*> channels{control_.get()};
     if (bulk_) { channels.push_back(bulk_.get()); }
-    if (peers_in_) { channels.push_back(peers_in_.get()); }
+    if (peers_in_ != nullptr) { channels.push_back(peers_in_); }
     for (const auto& [key, link] : peers_out_) { channels.push_back(link.channel.get()); }
     const bool full = !queued_.empty() || peers_full_;
-    transport_->wait(channels, wake_fd_, full ? kWaitWhileFull : kWait);
+    transport_.wait(channels, wake_fd_, full ? kWaitWhileFull : kWait);
     std::uint64_t wakes = 0;
     static_cast<void>(!::read(wake_fd_, &wakes, sizeof wakes));
   }
@@ -320,7 +333,7 @@ class WorkerLoop {
     const Time end = Clock::now() + std::chrono::seconds(1);
     send();
     while (!queued_.empty() && Clock::now() < end) {
-      transport_->wait({}, -1, kWaitWhileFull);
+      transport_.wait({}, -1, kWaitWhileFull);
       send();
     }
   }
@@ -328,13 +341,13 @@ class WorkerLoop {
   Endpoint master_;
   SessionId session_id_;
   int wake_fd_;
-  bool insecure_no_auth_;
+  bool reach_settled_;
   WorkerSession session_;
-  std::unique_ptr<Transport> transport_;
+  Transport& transport_;
   std::unique_ptr<Channel> control_;
   std::unique_ptr<Channel> bulk_;
   std::deque<Queued> queued_;
-  std::unique_ptr<Channel> peers_in_;         // others ask here
+  Channel* peers_in_;                         // others ask here
   std::map<SessionKey, PeerLink> peers_out_;  // whom this worker asks
   std::map<SessionKey, std::deque<Queued>> answers_;
   bool peers_full_ = false;
@@ -346,20 +359,28 @@ class WorkerLoop {
 
 Result<void> run_worker(const WorkerOptions& options, const std::atomic<int>& stop_signal,
                         int wake_fd) {
-  Result<Endpoint> master = check_endpoint(options.connect, options.insecure_no_auth);
-  if (!master) { return tl::unexpected(master.error()); }
-  if (master->port == 0) {
+  Result<SecureTransport> opened =
+      open_transport(options.connect, options.security, KeyRole::kWorker);
+  if (!opened) { return tl::unexpected(opened.error()); }
+  if (opened->endpoint.port == 0) {
     return fail(
         ExitCode::kUsage,
         fmt::format("bad address \"{}\": a worker needs the master's port", options.connect));
   }
-  std::unique_ptr<Transport> transport = make_zmq_transport();
-  Result<PeerListener> peers = listen_for_peers(*transport, options, *master);
-  if (!peers) { return tl::unexpected(peers.error()); }
-  const Hello hello = hello_of(options, peers->endpoint);
-  WorkerLoop loop{options, std::move(*master),   hello,
-                  wake_fd, std::move(transport), std::move(peers->channel)};
-  return loop.run(stop_signal);
+  PeerListener peers;
+  for (;;) {
+    Result<PeerListener> listener =
+        listen_for_peers(*opened->transport, options, opened->endpoint, std::move(peers.channel));
+    if (!listener) { return tl::unexpected(listener.error()); }
+    peers = *std::move(listener);
+    // A new session each time: no master takes this worker for one it has known.
+    WorkerLoop loop{options, *opened, hello_of(options, peers.endpoint), wake_fd,
+                    peers.channel.get()};
+    Result<void> served = loop.run(stop_signal);
+    if (!options.keep || !loop.next_master()) { return served; }
+    spdlog::info("event=waiting_for_next_master after=\"{}\"",
+                 served ? "the job is done" : served.error().message);
+  }
 }
 
 }  // namespace preheat

@@ -33,10 +33,19 @@ void WorkerSession::send(ChannelKind channel, Message message, Payload data) {
   outgoing_.push_back({channel, hello_.session, std::move(message), std::move(data)});
 }
 
-void WorkerSession::finish(ExitCode code, std::string text) {
+void WorkerSession::finish(ExitCode code, std::string text, bool next_master) {
   if (phase_ == Phase::kOver) { return; }
   phase_ = Phase::kOver;
-  actions_.emplace_back(Finish{code, std::move(text)});
+  actions_.emplace_back(Finish{code, std::move(text), next_master});
+}
+
+void WorkerSession::on_handshakes(const Handshakes& handshakes) {
+  handshakes_broken_ = handshakes.broken;
+  if (!handshakes.refused.empty()) {
+    finish(
+        ExitCode::kMasterGone,
+        fmt::format("the master and this worker do not trust each other: {}", handshakes.refused));
+  }
 }
 
 void WorkerSession::fault(FaultKind kind, VoxelId voxel, const std::string& text) {
@@ -172,7 +181,7 @@ void WorkerSession::handle(const Refuse& refuse, Time /*now*/) {
 
 void WorkerSession::handle(const JobDone& /*done*/, Time /*now*/) {
   send(ChannelKind::kControl, Goodbye{counts_.stats});
-  finish(ExitCode::kDone, "the job is done");
+  finish(ExitCode::kDone, "the job is done", /*next_master=*/true);
 }
 
 void WorkerSession::on_bulk(const Envelope& frame, const Payload& data, Time now) {
@@ -403,8 +412,13 @@ void WorkerSession::tick(Time now) {
   if (now - tick_last_ > timers_.tick_gap) { heard_last_ += now - tick_last_; }
   tick_last_ = now;
   if (now - heard_last_ >= give_up_) {
-    finish(ExitCode::kMasterGone,
-           fmt::format("no word from the master for {:.0f} seconds", seconds(give_up_)));
+    std::string text = fmt::format("no word from the master for {:.0f} seconds", seconds(give_up_));
+    if (handshakes_broken_ > 0) {
+      text += fmt::format(
+          ": {} connections ended before it had proven that its key is the one in master.pub",
+          handshakes_broken_);
+    }
+    finish(ExitCode::kMasterGone, std::move(text), /*next_master=*/true);
     return;
   }
   if (now - heard_last_ >= timers_.waiting_notice &&

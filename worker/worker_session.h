@@ -61,6 +61,8 @@ struct CancelTile {
 struct Finish {
   ExitCode code = ExitCode::kDone;
   std::string text{};
+  // It was not sent away: the next master at this address may want it.
+  bool next_master = false;
 };
 using WorkerAction = std::variant<ConnectBulk, ConnectPeer, DisconnectPeer, StartRenderer,
                                   SetHotVoxels, DeliverVoxel, AddTile, CancelTile, Finish>;
@@ -89,6 +91,8 @@ class WorkerSession {
   void on_peer_request(const SessionId& from, const Envelope& frame, Time now);
   // A frame of ours in another version: the other program is newer or older.
   void on_other_version(std::uint16_t version);
+  // How connecting to the master goes.
+  void on_handshakes(const Handshakes& handshakes);
   void on_hot_set_ready(const PreloadStats& preload);
   void on_voxel_needed(VoxelId voxel);
   void on_voxel_malformed(VoxelId voxel, const std::string& reason);
@@ -153,7 +157,7 @@ class WorkerSession {
   void send_heartbeat(Time now);
   void send(ChannelKind channel, Message message, Payload data = {});
   void fault(FaultKind kind, VoxelId voxel, const std::string& text);
-  void finish(ExitCode code, std::string text);
+  void finish(ExitCode code, std::string text, bool next_master = false);
 
   Hello hello_;
   Timers timers_;
@@ -165,6 +169,7 @@ class WorkerSession {
   Time tick_last_;
   Time waiting_told_;
   bool tile_done_since_heartbeat_ = false;
+  std::uint64_t handshakes_broken_ = 0;
   JobKey job_{};
   Welcome welcome_{};
   bool hot_ready_ = false;

@@ -9,21 +9,24 @@
 
 namespace preheat {
 
-struct TracedRay {
-  Ray ray{};
-  bool any_hit = false;
-};
-
-// One triangle geometry, ROBUST, no filter, the ISA that preheat pins.
+// One triangle geometry, ROBUST, the ISA that preheat pins.
 class BareEmbree {
  public:
-  explicit BareEmbree(const MeshArrays& mesh);  // which outlives this
+  enum class HitFilter {
+    kNone,
+    // What any renderer needs whose bits must not depend on the layout: the lowest (t, triangle)
+    // wins, and the window of candidates stays a little open behind it. No surface is fetched.
+    kLowest,
+  };
+
+  BareEmbree(const MeshArrays& mesh, HitFilter filter);  // `mesh` is copied, its arrays are not
   ~BareEmbree();
   BareEmbree(const BareEmbree&) = delete;
   BareEmbree& operator=(const BareEmbree&) = delete;
 
   // The number of rays that hit.
-  [[nodiscard]] std::size_t trace_all(std::span<const TracedRay> rays) const;
+  [[nodiscard]] std::size_t trace_closest(std::span<const Ray> rays) const;
+  [[nodiscard]] std::size_t trace_any(std::span<const Ray> rays) const;
 
  private:
   struct Impl;

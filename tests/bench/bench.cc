@@ -7,6 +7,7 @@
 #include <atomic>
 #include <cstdlib>
 #include <filesystem>
+#include <memory>
 #include <optional>
 #include <string>
 #include <thread>
@@ -78,31 +79,42 @@ std::vector<VoxelId> every_voxel(const Store& store) {
   return voxels;
 }
 
-// The whole scene as the hot set, and every ray that the small view traces, in the order of
-// tracing.
-class HotScene {
+// How the resident voxels lie before the rays.
+enum class Held { kHot, kCold };
+
+// The whole scene resident, and every ray that the small view traces, in the order of tracing.
+class TracedScene {
  public:
-  explicit HotScene(const Store& store)
-      : hot_(store.tables(), every_voxel(store)), resident_(store.tables().voxels.size(), 1) {
+  TracedScene(const Store& store, Held held)
+      : hot_(store.tables(), held == Held::kHot ? every_voxel(store) : std::vector<VoxelId>{}),
+        resident_(store.tables().voxels.size(), 1) {
     for (const VoxelId voxel : every_voxel(store)) {
-      hot_.add(view_voxel_block(store.block(voxel), store.tables().materials.size()).value());
+      const VoxelBlockView block =
+          view_voxel_block(store.block(voxel), store.tables().materials.size()).value();
+      if (held == Held::kHot) {
+        hot_.add(block);
+      } else {
+        cold_.push_back(std::make_unique<VoxelMesh>(block));
+        resident_.publish(voxel, cold_.back().get());
+      }
     }
-    residency_.emplace(device_, hot_, store.tables(), std::vector<VoxelId>{}, resident_);
-    bare_.emplace(hot_.arrays());
+    residency_.emplace(device_, hot_, store.tables(),
+                       held == Held::kHot ? std::vector<VoxelId>{} : every_voxel(store), resident_);
     record_rays(store);
   }
 
-  [[nodiscard]] const std::vector<TracedRay>& rays() const { return rays_; }
-  [[nodiscard]] const BareEmbree& bare() const { return *bare_; }
+  [[nodiscard]] const std::vector<Ray>& closest() const { return closest_; }
+  [[nodiscard]] const std::vector<Ray>& any() const { return any_; }
+  [[nodiscard]] MeshArrays arrays() const { return hot_.arrays(); }
 
   // Hits, so that nothing is optimised away.
-  std::size_t trace_all() {
+  std::size_t trace_all(const std::vector<Ray>& rays, bool any_hit) {
     const ResidentTable::Guard guard(resident_, 0);
     std::size_t hits = 0;
-    for (const TracedRay& ray : rays_) {
+    for (const Ray& ray : rays) {
       RayQuery query;
-      query.ray = ray.ray;
-      query.any_hit = ray.any_hit;
+      query.ray = ray;
+      query.any_hit = any_hit;
       residency_->trace(query);
       hits += query.blocked || query.has_hit() ? 1U : 0U;
     }
@@ -123,11 +135,11 @@ class HotScene {
         while (vertex.has_scatter_ray) {
           RayQuery query;
           query.ray = vertex.scatter;
-          rays_.push_back({query.ray, false});
+          closest_.push_back(query.ray);
           residency_->trace(query);
           if (!query.has_hit()) { break; }
           vertex = shading.shade_hit(query.ray, query.surface, path);
-          if (vertex.has_shadow_ray) { rays_.push_back({vertex.shadow, true}); }
+          if (vertex.has_shadow_ray) { any_.push_back(vertex.shadow); }
         }
       }
     }
@@ -135,33 +147,56 @@ class HotScene {
 
   TracingDevice device_{2};
   HotMesh hot_;
+  std::vector<std::unique_ptr<VoxelMesh>> cold_;
   ResidentTable resident_;
   std::optional<Residency> residency_;
-  std::optional<BareEmbree> bare_;
-  std::vector<TracedRay> rays_;
+  std::vector<Ray> closest_;
+  std::vector<Ray> any_;
 };
 
-HotScene& hot_scene() {
-  static HotScene scene(bench_store());
+TracedScene& hot_scene() {
+  static TracedScene scene(bench_store(), Held::kHot);
   return scene;
 }
 
-// One thread, one closest- or any-hit query at a time: the yardstick for the next two.
-void bare_embree(benchmark::State& state) {
-  HotScene& scene = hot_scene();
-  for (auto _ : state) { benchmark::DoNotOptimize(scene.bare().trace_all(scene.rays())); }
-  state.SetItemsProcessed(state.iterations() * static_cast<std::int64_t>(scene.rays().size()));
+TracedScene& cold_scene() {
+  static TracedScene scene(bench_store(), Held::kCold);
+  return scene;
 }
-BENCHMARK(bare_embree)->Unit(benchmark::kMillisecond);
 
-// The same rays through the hot BVH: with the filter that makes bits independent of the layout and
-// with the surface that shading needs.
-void hot_bvh(benchmark::State& state) {
-  HotScene& scene = hot_scene();
-  for (auto _ : state) { benchmark::DoNotOptimize(scene.trace_all()); }
-  state.SetItemsProcessed(state.iterations() * static_cast<std::int64_t>(scene.rays().size()));
+void count_rays(benchmark::State& state, const std::vector<Ray>& rays) {
+  state.SetItemsProcessed(state.iterations() * static_cast<std::int64_t>(rays.size()));
 }
-BENCHMARK(hot_bvh)->Unit(benchmark::kMillisecond);
+
+// One thread, one query at a time, over one BVH of Embree's own: the yardstick for the next.
+void plain_embree(benchmark::State& state, BareEmbree::HitFilter filter, bool any_hit) {
+  TracedScene& scene = hot_scene();
+  const BareEmbree embree(scene.arrays(), filter);
+  const std::vector<Ray>& rays = any_hit ? scene.any() : scene.closest();
+  for (auto _ : state) {
+    benchmark::DoNotOptimize(any_hit ? embree.trace_any(rays) : embree.trace_closest(rays));
+  }
+  count_rays(state, rays);
+}
+BENCHMARK_CAPTURE(plain_embree, closest, BareEmbree::HitFilter::kNone, false)
+    ->Unit(benchmark::kMillisecond);
+BENCHMARK_CAPTURE(plain_embree, closest_filtered, BareEmbree::HitFilter::kLowest, false)
+    ->Unit(benchmark::kMillisecond);
+BENCHMARK_CAPTURE(plain_embree, any, BareEmbree::HitFilter::kNone, true)
+    ->Unit(benchmark::kMillisecond);
+
+// The same rays as the renderer traces them, with the surface that shading needs: every voxel in
+// the hot BVH, or every voxel resident behind its box.
+void resident_voxels(benchmark::State& state, Held held, bool any_hit) {
+  TracedScene& scene = held == Held::kHot ? hot_scene() : cold_scene();
+  const std::vector<Ray>& rays = any_hit ? scene.any() : scene.closest();
+  for (auto _ : state) { benchmark::DoNotOptimize(scene.trace_all(rays, any_hit)); }
+  count_rays(state, rays);
+}
+BENCHMARK_CAPTURE(resident_voxels, hot_closest, Held::kHot, false)->Unit(benchmark::kMillisecond);
+BENCHMARK_CAPTURE(resident_voxels, hot_any, Held::kHot, true)->Unit(benchmark::kMillisecond);
+BENCHMARK_CAPTURE(resident_voxels, cold_closest, Held::kCold, false)->Unit(benchmark::kMillisecond);
+BENCHMARK_CAPTURE(resident_voxels, cold_any, Held::kCold, true)->Unit(benchmark::kMillisecond);
 
 void triangles_per_second(benchmark::State& state) {
   state.SetItemsProcessed(state.iterations() * static_cast<std::int64_t>(demo().triangles.size()));

@@ -38,8 +38,7 @@ ProxyRecord record_of(const Aabb& cell) {
   record.shape = kShapeFlat | kShapeOriented;
   const float half = glm::dot(glm::abs(normal), 0.5F * cell.extent());
   const float offset = (height(middle.x, middle.z) - middle.y) * normal.y;
-  record.plane_offset =
-      static_cast<std::uint16_t>(std::clamp(0.5F + 0.5F * offset / half, 0.0F, 1.0F) * 65535.0F);
+  set_record_plane(record, 0.5F + 0.5F * offset / half);
   return record;
 }
 

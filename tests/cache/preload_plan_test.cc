@@ -6,6 +6,8 @@
 #include <limits>
 #include <random>
 
+#include "cache/tracing.h"
+
 namespace preheat {
 namespace {
 
@@ -67,6 +69,33 @@ TEST(PreloadPlan, HoldsEverythingWhereTheCacheDoes) {
 
   EXPECT_EQ(plan(voxels, 120, kAuto).hot_bytes, 120U);
   EXPECT_EQ(plan(voxels, std::numeric_limits<std::uint64_t>::max(), kAuto).hot_bytes, 120U);
+}
+
+TEST(PreloadPlan, LeavesRoomForEveryVoxelThatRaysAreExpectedToEnter) {
+  // 40 bytes a triangle in the block, 100 more in the hot BVH, as real voxels have.
+  SceneTables tables;
+  Prediction prediction;
+  constexpr std::uint32_t kTriangles = 1000;
+  for (int voxel = 0; voxel < 100; ++voxel) {
+    tables.voxels.emplace_back();
+    tables.voxels.back().triangle_count = kTriangles;
+    tables.voxels.back().block_bytes = 40 * kTriangles;
+    tables.voxels.back().resident_bytes = 140 * kTriangles;
+    prediction.rays_camera.push_back(voxel < 80 ? 100.0 - voxel : 0.0);
+  }
+  prediction.rays_scatter.resize(100, 0.0);
+  prediction.rays_shadow.resize(100, 0.0);
+  const std::uint64_t cold_bytes = 40 * kTriangles + VoxelMesh::bytes_max(kTriangles);
+  const auto hot_count = [&](std::uint64_t limit) {
+    return plan_preload(tables, prediction, limit, kAuto).hot.size();
+  };
+
+  // All 80 fit cold, with room to make 60 of them hot.
+  const std::uint64_t limit = 60 * tables.voxels[0].resident_bytes + 20 * cold_bytes;
+  EXPECT_EQ(hot_count(limit), 60U);
+  EXPECT_EQ(hot_count(limit - 1), 59U);
+  // Not even half of them fit: three tenths of the room.
+  EXPECT_EQ(hot_count(40 * cold_bytes), 40 * cold_bytes * 3 / 10 / tables.voxels[0].resident_bytes);
 }
 
 TEST(PreloadPlan, LeavesRoomForTheLargestVoxelThatIsNotHot) {

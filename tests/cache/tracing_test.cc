@@ -143,7 +143,7 @@ class Layout {
       published_.erase(published_.begin());
     }
     std::unique_ptr<VoxelMesh>& mesh = meshes_[voxel];
-    if (mesh == nullptr) { mesh = std::make_unique<VoxelMesh>(device_, store_.view(voxel)); }
+    if (mesh == nullptr) { mesh = std::make_unique<VoxelMesh>(store_.view(voxel)); }
     table_.publish(voxel, mesh.get());
     published_.push_back(voxel);
   }

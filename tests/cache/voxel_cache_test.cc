@@ -14,17 +14,12 @@ using Action = VoxelCache::Action;
 using Command = VoxelCache::Command;
 
 // Voxels of 40 bytes raw and 140 built.
-std::vector<VoxelEntry> make_voxels(std::size_t count) {
-  std::vector<VoxelEntry> voxels(count);
-  for (VoxelEntry& voxel : voxels) {
-    voxel.block_bytes = 40;
-    voxel.resident_bytes = 140;
-  }
-  return voxels;
+std::vector<VoxelCache::Size> make_voxels(std::size_t count) {
+  return std::vector<VoxelCache::Size>(count, {40, 100});
 }
 
 // A cache whose voxels were last used in the order of their ids.
-VoxelCache make_cache(const std::vector<VoxelEntry>& voxels, std::uint64_t limit_bytes) {
+VoxelCache make_cache(const std::vector<VoxelCache::Size>& voxels, std::uint64_t limit_bytes) {
   return {voxels, limit_bytes, [](VoxelId voxel) { return index_of(voxel); }};
 }
 
@@ -129,10 +124,7 @@ TEST_P(VoxelCacheUnderRandomDemand, ServesEveryRayWithinTheLimit) {
   std::cout << "seed=" << seed << '\n';
   std::mt19937 random(seed);
   auto voxels = make_voxels(24);
-  for (VoxelEntry& voxel : voxels) {
-    voxel.block_bytes = static_cast<std::uint32_t>(20 + random() % 21);
-    voxel.resident_bytes = voxel.block_bytes + 30 + random() % 71;
-  }
+  for (VoxelCache::Size& voxel : voxels) { voxel = {20 + random() % 21, 30 + random() % 71}; }
   std::vector<std::uint64_t> used(voxels.size());
   const std::uint64_t limit = 140 * GetParam();
   VoxelCache cache(voxels, limit, [&](VoxelId voxel) { return used[index_of(voxel)]; });
@@ -152,13 +144,13 @@ TEST_P(VoxelCacheUnderRandomDemand, ServesEveryRayWithinTheLimit) {
       std::swap(under_way[random() % under_way.size()], under_way.back());
       const Command command = under_way.back();
       under_way.pop_back();
-      const VoxelEntry& entry = voxels[index_of(command.voxel)];
       switch (command.action) {
         case Action::kFetch:
           ASSERT_TRUE(cache.block_arrived(command.voxel));
           break;
         case Action::kBuild:
-          cache.built(command.voxel, (entry.resident_bytes - entry.block_bytes) * 9 / 10);
+          cache.built(command.voxel,
+                      voxels[index_of(command.voxel)].bvh_bytes_max * (1 + random() % 10) / 10);
           break;
         case Action::kWithdraw:
           cache.withdrawn(command.voxel);

@@ -345,11 +345,25 @@ TEST(Bsdf, BlackAbsorbsEverything) {
 TEST(MicrofacetAlbedoTable, MirrorsLoseNothingAndRoughnessLosesMore) {
   double lost = 1e-5;
   for (const float alpha : {0.01F, 0.1F, 0.3F, 0.6F, 1.0F}) {
-    const MicrofacetAlbedoTable table(alpha);
+    const MicrofacetAlbedoTable table(alpha, kAlbedoStrata);
     const double lost_here = 1.0 - static_cast<double>(table.mean().total);
     EXPECT_GT(lost_here, lost * 0.9) << alpha;
     EXPECT_LT(lost_here, 0.6);
     lost = lost_here;
+  }
+}
+
+TEST(MicrofacetAlbedoTable, IsWithinAFiftiethWhereItIsCoarse) {
+  for (const float alpha : {0.002F, 0.01F, 0.1F, 0.3F, 0.6F, 1.0F}) {
+    const MicrofacetAlbedoTable fine(alpha, kAlbedoStrata);
+    const MicrofacetAlbedoTable coarse(alpha, kAlbedoStrataCoarse);
+    for (int i = 0; i <= 64; ++i) {
+      const float cos_normal = static_cast<float>(i) / 64.0F;
+      EXPECT_NEAR(coarse.at(cos_normal).total, fine.at(cos_normal).total, 0.02F)
+          << alpha << " at " << cos_normal;
+      EXPECT_NEAR(coarse.at(cos_normal).grazing, fine.at(cos_normal).grazing, 0.02F)
+          << alpha << " at " << cos_normal;
+    }
   }
 }
 

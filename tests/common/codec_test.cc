@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <limits>
 #include <random>
 
@@ -38,6 +39,16 @@ Welcome some_welcome() {
   return welcome;
 }
 
+Status some_status() {
+  Status status;
+  status.build.text = "0.1.0";
+  status.phase = JobPhase::kRendering;
+  status.tiles_done = 3;
+  status.tiles_total = 9;
+  status.rendering_seconds = 1.5;
+  return status;
+}
+
 // One of each, with something in every container.
 std::vector<Message> one_of_each() {
   Hello hello;
@@ -65,6 +76,8 @@ std::vector<Message> one_of_each() {
           RangeReply{BulkObject::kPlan, VoxelId{0}, 0},
           TileChunk{LeaseId{1}, TileId{2}, 0, 16384, {5, 6}},
           TileChunkAck{LeaseId{1}, 0},
+          StatusRequest{},
+          some_status(),
           PeersChanged{3, 1000, {4, 5}},
           VoxelAbsent{VoxelId{7}, WorkerId{2}},
           VoxelLater{}};
@@ -104,8 +117,8 @@ TEST(Codec, RefusesEveryTruncationAndEveryChangedByte) {
     for (std::size_t length = 0; length < good.size(); ++length) {
       EXPECT_FALSE(decode_frame(std::span(good).first(length)).has_value());
     }
-    std::vector<std::byte> longer = good;
-    longer.push_back(std::byte{0});
+    std::vector<std::byte> longer(good.size() + 1);
+    std::copy(good.begin(), good.end(), longer.begin());
     EXPECT_FALSE(decode_frame(longer).has_value());
     for (std::size_t at = 0; at < good.size(); ++at) {
       std::vector<std::byte> changed = good;
@@ -172,6 +185,15 @@ TEST(Codec, RefusesValuesOutOfRange) {
   bad.emplace_back(RangeRequest{BulkObject::kVoxel, VoxelId{0}, 0, kChunkBytesMax + 1});
   bad.emplace_back(RangeRequest{static_cast<BulkObject>(4), VoxelId{0}, 0, 1});
   bad.emplace_back(TileChunk{LeaseId{1}, TileId{1}, 0, std::uint64_t{1} << 40, {}});
+  Status status = some_status();
+  status.phase = static_cast<JobPhase>(4);
+  bad.emplace_back(status);
+  status = some_status();
+  status.tiles_done = 10;
+  bad.emplace_back(status);
+  status = some_status();
+  status.build.text = "0.1.0\x1b[2J";
+  bad.emplace_back(status);
 
   for (std::size_t i = 0; i < bad.size(); ++i) {
     const auto frame = decode_frame(encode_frame(kJob, bad[i]));

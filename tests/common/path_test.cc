@@ -311,7 +311,10 @@ TEST(Path, NoShadowRayWithoutAContribution) {
       {"turned away", ray_along(up), hit_at(Vec3(0.0F), -up), false},
       {"behind the light", ray_along(-up), hit_at(Vec3(0.0F, 0.9F, 0.0F), up), false},
       {"above, facing it", ray_along(up), hit_at(Vec3(0.0F, 0.9F, 0.0F), -up), false},
-      {"on the light", ray_along(up), hit_at(Vec3(0.05F, 0.5F, 0.05F), -up), false}};
+      {"on the light", ray_along(up), hit_at(Vec3(0.05F, 0.5F, 0.05F), -up), false},
+      {"level with it but for rounding", ray_along(-up), hit_at(Vec3(0.9F, 0.4999997F, 0.0F), up),
+       false},
+      {"just below its level", ray_along(-up), hit_at(Vec3(0.9F, 0.4999F, 0.0F), up), true}};
 
   for (const Case& c : cases) {
     PathState path;

@@ -295,6 +295,44 @@ TEST(Proxy, LeavesTheBlocksOfAScatteredLeafFreeThatHoldNothing) {
             std::uint64_t{1} << block_bit(0, 0, 0) | std::uint64_t{1} << block_bit(3, 3, 3));
 }
 
+// A square of material 1 at the bottom of the cell and a heap of triangles of material 2 above it.
+TEST(Proxy, KnowsWhatASideOfAScatteredLeafShowsAndHowRoundItIs) {
+  const std::uint32_t seed = 7;
+  SCOPED_TRACE(seed);
+  Scene scene = empty_scene();
+  scene.materials.resize(3);
+  add_triangle(scene, {-1.0F, -1.0F, -1.0F}, {1.0F, -1.0F, -1.0F}, {1.0F, 1.0F, -1.0F}, 1);
+  add_triangle(scene, {-1.0F, -1.0F, -1.0F}, {1.0F, 1.0F, -1.0F}, {-1.0F, 1.0F, -1.0F}, 1);
+  SoupRandom random(seed);
+  for (int i = 0; i < 40; ++i) {
+    const auto point = [&] { return random.in_cube(-0.9F, 0.95F); };
+    const Vec3 a = point();
+    const Vec3 b = point();
+    add_triangle(scene, a, b, point(), 2);
+  }
+  Octree octree;
+  octree.root = {Vec3(-1.0F), Vec3(1.0F)};
+  octree.nodes = {{0, static_cast<std::uint32_t>(scene.triangles.size()), 0}};
+  for (std::uint32_t id = 0; id < scene.triangles.size(); ++id) { octree.references.push_back(id); }
+  const std::vector<std::uint32_t> voxel_roots{0};
+
+  const Proxy proxy = build_proxy(scene, octree, voxel_roots);
+
+  ASSERT_EQ(proxy.records.size(), 1U);
+  const ProxyRecord& record = proxy.records[0];
+  ASSERT_EQ(record.shape & kShapeFlat, 0);
+  const bool square_is_minor = proxy.materials[record.material_minor] == 1;
+  ASSERT_EQ(proxy.materials[square_is_minor ? record.material_major : record.material_minor], 2U);
+  const auto square_share = [&](bool from_low_side) {
+    const float share = record_minor_share(record, 2, from_low_side);
+    return square_is_minor ? share : 1.0F - share;
+  };
+  EXPECT_EQ(square_share(/*from_low_side=*/true), 1.0F);
+  EXPECT_LT(square_share(/*from_low_side=*/false), 0.6F);
+  EXPECT_EQ(record_roundness(record, square_is_minor), 0.0F);
+  EXPECT_GT(record_roundness(record, !square_is_minor), 0.6F);
+}
+
 TEST(Proxy, HoldsEveryPointOfTheGeometryInALeaf) {
   const std::uint32_t seed = 3;
   SCOPED_TRACE(seed);

@@ -38,8 +38,8 @@ TEST(Endpoint, OnlyLoopbackIsUsedWithoutBeingAsked) {
                         Case{"tcp://0.0.0.0:1", false}, Case{"tcp://*:1", false},
                         Case{"tcp://[::]:1", false}, Case{"tcp://10.0.0.1:1", false},
                         Case{"tcp://127.evil.example:1", false}, Case{"tcp://render1:1", false}}) {
-    EXPECT_EQ(check_endpoint(c.text, /*insecure_no_auth=*/false).has_value(), c.loopback) << c.text;
-    EXPECT_TRUE(check_endpoint(c.text, /*insecure_no_auth=*/true).has_value()) << c.text;
+    EXPECT_EQ(check_endpoint(c.text, /*reach_settled=*/false).has_value(), c.loopback) << c.text;
+    EXPECT_TRUE(check_endpoint(c.text, /*reach_settled=*/true).has_value()) << c.text;
   }
 }
 

@@ -187,7 +187,7 @@ INSTANTIATE_TEST_SUITE_P(
 
 TEST_F(Program, ExplainsItself) {
   for (const char* command :
-       {"", "compile", "inspect", "predict", "evaluate", "render", "compare"}) {
+       {"", "compile", "inspect", "predict", "evaluate", "render", "compare", "keygen", "status"}) {
     const Outcome help = preheat(std::string(command) + " --help");
     EXPECT_EQ(help.exit_code, 0);
     EXPECT_THAT(help.standard_output, HasSubstr("Usage: preheat"));

@@ -1,0 +1,46 @@
+// A voxel's own tree over the triangles of its block: half of what Embree takes, and built in a
+// fraction of the time. Finds what Embree would find, bit by bit (see voxel_kernel.h).
+//
+// Boxes are grown by kVoxelMargin, so that the rounding of a slab test loses nothing.
+// Threads: immutable after construction.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "cache/voxel_kernel.h"
+#include "common/ray.h"
+#include "common/voxel_block.h"
+
+namespace preheat {
+
+class VoxelBvh {
+ public:
+  // The block's positions outlive this. Requires: a block with triangles.
+  explicit VoxelBvh(const VoxelBlockView& block);
+
+  [[nodiscard]] VoxelTree tree() const {
+    return {nodes_.data(), groups_.data(), positions_, root_};
+  }
+
+  [[nodiscard]] std::uint64_t bytes() const {
+    return nodes_.capacity() * sizeof(VoxelTreeNode) + groups_.capacity() * sizeof(TriangleGroup);
+  }
+  // What bytes() never exceeds.
+  [[nodiscard]] static std::uint64_t bytes_max(std::uint64_t triangle_count);
+
+ private:
+  const float* positions_;
+  std::vector<VoxelTreeNode> nodes_;
+  std::vector<TriangleGroup> groups_;
+  std::uint32_t root_ = 0;
+};
+
+// A ray with the reciprocals that the kernels need.
+[[nodiscard]] KernelRay kernel_ray(const Ray& ray, float t_far);
+
+// The kernel of tracing_isa().
+[[nodiscard]] VoxelKernel voxel_kernel();
+
+}  // namespace preheat
