@@ -237,6 +237,8 @@ for image in first second; do
   check "the $image image is rendered by both workers" equal \
     "$(grep -c '"tiles": [1-9]' "$PREHEAT_OUT/report.json")" 2
 done
+check "they knew where others reach them, though they were there before the master's name" equal \
+  "$(farm logs worker | grep -c no_peer_socket)" 0
 check "the workers are still the same" equal "$(farm ps -q worker | sort)" "$before"
 # shellcheck disable=SC2086
 check "none of them was started again" equal \

@@ -26,52 +26,63 @@ namespace {
 
 constexpr std::chrono::milliseconds kWait{50};
 constexpr std::chrono::milliseconds kWaitWhileFull{5};
+constexpr std::chrono::milliseconds kBetweenLooks{250};
 constexpr std::size_t kReceivedPerTurn = 64;
 constexpr std::size_t kQueuedMax = 1024;
 constexpr std::size_t kQueuedPerPeerMax = PeerServer::kWaitingPerPeerMax;
 
-// Where others reach this worker. Without a wish of the user's it does without, if it must.
-struct PeerListener {
-  std::unique_ptr<Channel> channel{};
-  std::string endpoint{};
-};
+// This worker's address on the way to the master. A master's name may be known only once it runs;
+// until then nobody can be greeted, and where others reach this worker is not known either.
+Result<std::string> wait_for_way(Transport& transport, const Endpoint& master,
+                                 const WorkerOptions& options,
+                                 const std::atomic<int>& stop_signal) {
+  const Time end = Clock::now() + from_seconds(options.give_up_seconds);
+  for (bool told = false;; told = true) {
+    Result<std::string> own = local_address_towards(master);
+    if (own) { return own; }
+    if (const int signal = stop_signal.load(); signal != 0) {
+      return fail(signal == SIGINT ? ExitCode::kInterrupted : ExitCode::kTerminated,
+                  "ended by a signal");
+    }
+    if (Clock::now() >= end) {
+      return fail(ExitCode::kMasterGone, fmt::format("after {:.0f} seconds still {}",
+                                                     options.give_up_seconds, own.error().message));
+    }
+    if (!told) { spdlog::info("event=waiting_for_way reason=\"{}\"", own.error().message); }
+    transport.wait({}, -1, kBetweenLooks);
+  }
+}
 
 bool is_any_address(const std::string& host) {
   return host == "*" || host == "0.0.0.0" || host == "[::]";
 }
 
-// `kept` is the socket that served under the master before, if any. At an address of the user's own
-// it stays: ZeroMQ lets go of a port only some time after the socket is closed.
-Result<PeerListener> listen_for_peers(Transport& transport, const WorkerOptions& options,
-                                      const Endpoint& master, std::unique_ptr<Channel> kept) {
-  const bool wished = !options.peer_listen.empty();
-  if (!wished) { kept.reset(); }
-  const auto begin = [&]() -> Result<PeerListener> {
-    Result<std::string> own = local_address_towards(master);
-    Endpoint wish{own ? *own : std::string{}, 0};
-    if (wished) {
-      const Result<Endpoint> asked =
-          check_endpoint(options.peer_listen, options.security.reach_settled());
-      if (!asked) { return tl::unexpected(asked.error()); }
-      wish = *asked;
+// Where others reach this worker.
+struct PeerListener {
+  std::optional<Endpoint> wish{};  // of the user's; without one a worker does without, if it must
+  std::unique_ptr<Channel> channel{};
+  std::string endpoint{};  // as others are told; empty: nobody is served
+};
+
+// For one more master, `own` being this worker's address on the way to it.
+Result<void> listen_for_peers(Transport& transport, const std::string& own, PeerListener& peers) {
+  const Endpoint at = peers.wish.value_or(Endpoint{own, 0});
+  peers.endpoint.clear();
+  // At an address of the user's choice the socket goes on from master to master: ZeroMQ lets go of
+  // a port only some time after its socket is closed.
+  if (!peers.wish) { peers.channel.reset(); }
+  if (!peers.channel) {
+    auto channel = transport.listen(at.text(), ChannelKind::kPeer);
+    if (!channel && peers.wish) { return tl::unexpected(channel.error()); }
+    if (!channel) {
+      spdlog::warn("event=no_peer_socket reason=\"{}\"", channel.error().message);
+      return {};
     }
-    if (!own && (wish.host.empty() || is_any_address(wish.host))) {
-      return tl::unexpected(own.error());
-    }
-    if (!kept) {
-      auto channel = transport.listen(wish.text(), ChannelKind::kPeer);
-      if (!channel) { return tl::unexpected(channel.error()); }
-      kept = *std::move(channel);
-    }
-    const Result<Endpoint> bound = parse_endpoint(kept->endpoint());
-    if (!bound) { return tl::unexpected(bound.error()); }
-    const Endpoint told{is_any_address(wish.host) ? *own : wish.host, bound->port};
-    return PeerListener{std::move(kept), told.text()};
-  };
-  Result<PeerListener> listener = begin();
-  if (listener || wished) { return listener; }
-  spdlog::warn("event=no_peer_socket reason=\"{}\"", listener.error().message);
-  return PeerListener{};
+    peers.channel = *std::move(channel);
+  }
+  const std::uint16_t port = parse_endpoint(peers.channel->endpoint())->port;
+  peers.endpoint = Endpoint{is_any_address(at.host) ? own : at.host, port}.text();
+  return {};
 }
 
 Hello hello_of(const WorkerOptions& options, const std::string& peer_endpoint) {
@@ -355,6 +366,26 @@ class WorkerLoop {
   std::unique_ptr<Renderer> renderer_;  // last, so that its threads end before what they wake
 };
 
+struct Service {
+  Result<void> served{};
+  bool next_master = false;  // the next one may want this worker
+};
+
+// One master, from the first look for it to its end or this worker's.
+Service serve(const WorkerOptions& options, SecureTransport& opened, PeerListener& peers,
+              const std::atomic<int>& stop_signal, int wake_fd) {
+  const Result<std::string> own =
+      wait_for_way(*opened.transport, opened.endpoint, options, stop_signal);
+  if (!own) { return {tl::unexpected(own.error()), stop_signal.load() == 0}; }
+  if (auto listening = listen_for_peers(*opened.transport, *own, peers); !listening) {
+    return {tl::unexpected(listening.error()), false};
+  }
+  // A new session each time: no master takes this worker for one it has known.
+  WorkerLoop loop{options, opened, hello_of(options, peers.endpoint), wake_fd, peers.channel.get()};
+  Result<void> served = loop.run(stop_signal);
+  return {std::move(served), loop.next_master()};
+}
+
 }  // namespace
 
 Result<void> run_worker(const WorkerOptions& options, const std::atomic<int>& stop_signal,
@@ -368,16 +399,14 @@ Result<void> run_worker(const WorkerOptions& options, const std::atomic<int>& st
         fmt::format("bad address \"{}\": a worker needs the master's port", options.connect));
   }
   PeerListener peers;
+  if (!options.peer_listen.empty()) {
+    Result<Endpoint> wish = check_endpoint(options.peer_listen, options.security.reach_settled());
+    if (!wish) { return tl::unexpected(wish.error()); }
+    peers.wish = *std::move(wish);
+  }
   for (;;) {
-    Result<PeerListener> listener =
-        listen_for_peers(*opened->transport, options, opened->endpoint, std::move(peers.channel));
-    if (!listener) { return tl::unexpected(listener.error()); }
-    peers = *std::move(listener);
-    // A new session each time: no master takes this worker for one it has known.
-    WorkerLoop loop{options, *opened, hello_of(options, peers.endpoint), wake_fd,
-                    peers.channel.get()};
-    Result<void> served = loop.run(stop_signal);
-    if (!options.keep || !loop.next_master()) { return served; }
+    const auto [served, next_master] = serve(options, *opened, peers, stop_signal, wake_fd);
+    if (!options.keep || !next_master) { return served; }
     spdlog::info("event=waiting_for_next_master after=\"{}\"",
                  served ? "the job is done" : served.error().message);
   }

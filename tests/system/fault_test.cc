@@ -537,6 +537,26 @@ TEST_F(Faults, NobodyComes) {
   EXPECT_EQ(worker.wait(), 4);
 }
 
+TEST_F(Faults, AWorkerWaitsForANameThatIsNotKnownYet) {
+  const std::vector<std::string> arguments{"--connect", "tcp://preheat.invalid:4000",
+                                           "--insecure-no-auth", "--give-up"};
+  std::vector<std::string> hasty = arguments;
+  hasty.emplace_back("0.5");
+  std::vector<std::string> patient = arguments;
+  patient.emplace_back("600");
+
+  Process gives_up{kWorker, hasty, path("gives_up.log")};
+  Process waits{kWorker, patient, path("waits.log")};
+
+  EXPECT_EQ(gives_up.wait(), 4);
+  EXPECT_THAT(gives_up.log(), HasSubstr("preheat.invalid"));
+  while (waits.running() && waits.log().find("event=waiting_for_way") == std::string::npos) {
+    std::this_thread::sleep_for(milliseconds(5));
+  }
+  waits.signal(SIGTERM);
+  EXPECT_EQ(waits.wait(), 143) << waits.log();
+}
+
 TEST_F(Faults, ADamagedVoxelEndsTheJobAndIsNamed) {
   fs::copy_file(path("demo.store"), path("damaged.store"), fs::copy_options::overwrite_existing);
   const auto bytes = static_cast<std::streamoff>(fs::file_size(path("damaged.store")));
