@@ -239,8 +239,7 @@ void Tracer::count(const Path& path, RayKind kind) {
     ++(accesses_by_cell_[cell].*type);
     ++entered;
   });
-  accesses_ +=
-      entered * (context_.count_accesses == AccessCounting::kSampled ? kAccessSampling : 1);
+  accesses_ += entered * accesses_per_count(context_.count_accesses);
 }
 
 std::vector<VoxelRays> Tracer::take_demands() {

@@ -94,6 +94,10 @@ class Tracer {
 
   // One ray in this many is counted by AccessCounting::kSampled.
   static constexpr std::uint32_t kAccessSampling = 64;
+  // What an access that was counted stands for.
+  [[nodiscard]] static constexpr std::uint32_t accesses_per_count(AccessCounting counting) {
+    return counting == AccessCounting::kSampled ? kAccessSampling : 1;
+  }
 
  private:
   enum class RayKind : std::uint8_t { kScatter = 0, kShadow = 1 };  // the camera ray is kScatter

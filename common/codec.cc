@@ -185,6 +185,11 @@ void serialize(Archive& archive, TileChunkAck& ack) {
 }
 
 template <class Archive>
+void serialize(Archive& archive, VoxelAccesses& told) {
+  archive(told.first, told.counts);
+}
+
+template <class Archive>
 void serialize(Archive& archive, Status& status) {
   archive(status.build, enum_up_to(status.phase, JobPhase::kOver), status.tiles_done,
           status.tiles_total, status.workers, status.workers_ready, status.workers_lost,

@@ -23,12 +23,13 @@
 
 namespace preheat {
 
-inline constexpr std::uint16_t kProtocolVersion = 2;
+inline constexpr std::uint16_t kProtocolVersion = 3;
 inline constexpr std::size_t kControlFrameBytesMax = 64 * 1024;
 inline constexpr std::size_t kChunkBytesMax = 256 * 1024;
 inline constexpr std::uint64_t kTablesBytesMax = std::uint64_t{2} << 30;
 inline constexpr std::size_t kPeersMax = 1000;
 inline constexpr std::size_t kEndpointBytesMax = 128;
+inline constexpr std::size_t kVoxelAccessesMax = 4096;  // counts in a message
 inline constexpr std::size_t kLeasesPerWorkerMax = 2 * kThreadsMax + 1;
 
 // Chosen at random by each worker process; names it on both sockets.
@@ -208,6 +209,13 @@ struct Status {
   double rendering_seconds = 0.0;  // since the first lease
 };
 
+// Worker -> master, answering JobDone before the Goodbye: how many rays entered the voxels from
+// `first` on, as counted, voxel by voxel and in order until each has been told.
+struct VoxelAccesses {
+  std::uint32_t first = 0;
+  BoundedVector<std::uint64_t, kVoxelAccessesMax> counts{};
+};
+
 // Master -> worker: there is a new plan of homes to fetch (home_plan.h).
 struct PeersChanged {
   std::uint32_t version = 0;
@@ -224,9 +232,9 @@ struct VoxelAbsent {
 // Worker -> worker: what you asked for is on its way to me; so long as I say this I am alive.
 struct VoxelLater {};
 
-using Message =
-    std::variant<Hello, Welcome, Refuse, Unknown, Ready, Grant, Cancel, ResultAck, WorkerHeartbeat,
-                 MasterHeartbeat, Fault, Goodbye, JobDone, RangeRequest, RangeReply, TileChunk,
-                 TileChunkAck, StatusRequest, Status, PeersChanged, VoxelAbsent, VoxelLater>;
+using Message = std::variant<Hello, Welcome, Refuse, Unknown, Ready, Grant, Cancel, ResultAck,
+                             WorkerHeartbeat, MasterHeartbeat, Fault, Goodbye, JobDone,
+                             RangeRequest, RangeReply, TileChunk, TileChunkAck, StatusRequest,
+                             Status, VoxelAccesses, PeersChanged, VoxelAbsent, VoxelLater>;
 
 }  // namespace preheat

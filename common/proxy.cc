@@ -664,32 +664,37 @@ float set_scattered_materials(Summary& summary, const Selection& selection,
 }
 
 // 0 where all normals lie along axes, 1 where they are as those of a sphere, whose |x| + |y| + |z|
-// is 3/2 on average, or further from the axes yet. Of the pieces that `wanted` holds for, 0
-// without.
-template <class Wanted>
-float roundness_of(const Selection& selection, Wanted&& wanted) {
-  float sum = 0.0F;
-  float area = 0.0F;
-  selection.for_each([&](const Piece& piece) {
-    if (!wanted(piece)) { return; }
+// is 3/2 on average, or further from the axes yet; 0 of nothing.
+class Roundness {
+ public:
+  void add(const Piece& piece) {
     const Vec3 normal = glm::abs(piece.normal);
-    sum += normal.x + normal.y + normal.z;
-    area += piece.twice_area;
-  });
-  return area > 0.0F ? std::clamp(2.0F * (sum / area - 1.0F), 0.0F, 1.0F) : 0.0F;
-}
+    sum_ += normal.x + normal.y + normal.z;
+    area_ += piece.twice_area;
+  }
+  [[nodiscard]] float value() const {
+    return area_ > 0.0F ? std::clamp(2.0F * (sum_ / area_ - 1.0F), 0.0F, 1.0F) : 0.0F;
+  }
+  [[nodiscard]] unsigned code_7() const { return static_cast<unsigned>(value() * 7.0F + 0.5F); }
+
+ private:
+  float sum_ = 0.0F;
+  float area_ = 0.0F;
+};
 
 void set_roundness(Summary& summary, const Selection& selection) {
+  Roundness all;
+  Roundness major;
+  Roundness minor;
+  selection.for_each([&](const Piece& piece) {
+    all.add(piece);
+    if (piece.material == summary.materials[0]) { major.add(piece); }
+    if (piece.material == summary.materials[1]) { minor.add(piece); }
+  });
   ProxyRecord& record = summary.record;
-  record.thickness = code_255(roundness_of(selection, [](const Piece&) { return true; }));
-  const auto code_7 = [&](std::uint32_t material) {
-    const float roundness = roundness_of(
-        selection, [material](const Piece& piece) { return piece.material == material; });
-    return static_cast<unsigned>(roundness * 7.0F + 0.5F);
-  };
-  const unsigned codes = code_7(summary.materials[0]) << kShapeMajorRoundness |
-                         code_7(summary.materials[1]) << kShapeMinorRoundness;
-  record.shape = static_cast<std::uint8_t>(record.shape | codes);
+  record.thickness = code_255(all.value());
+  record.shape = static_cast<std::uint8_t>(record.shape | major.code_7() << kShapeMajorRoundness |
+                                           minor.code_7() << kShapeMinorRoundness);
 }
 
 float set_scattered(Summary& summary, const Selection& selection, const Aabb& bounds,

@@ -81,11 +81,16 @@ Result<Status> ask(const StatusOptions& options) {
     const std::array<Channel*, 1> channels{channel->get()};
     transport.wait(channels, -1, kTurn);
   }
-  const bool connected = (*channel)->handshakes().broken > 0;
+  // The other side may hang up before it has let us know why.
+  const char* suspicion = "";
+  if ((*channel)->handshakes().broken > 0) {
+    suspicion = options.security.keys_folder.empty()
+                    ? ": something is there, but perhaps only one of both sides has keys"
+                    : ": something is there, but not this master's key";
+  }
   return fail(ExitCode::kMasterGone,
               fmt::format("no master answers at {} within {:g} seconds{}", options.connect,
-                          options.timeout_seconds,
-                          connected ? ": something is there, but not this master's key" : ""));
+                          options.timeout_seconds, suspicion));
 }
 
 std::optional<double> hit_rate_of(const Status& status) {

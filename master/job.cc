@@ -5,6 +5,7 @@
 
 #include <algorithm>
 
+#include "cache/tracer.h"
 #include "common/check.h"
 #include "common/content_hash.h"
 #include "common/tile_codec.h"
@@ -194,7 +195,7 @@ void Job::welcome(const Worker& worker) {
   welcome.tables_hash = scene_.tables_hash;
   welcome.plan_bytes = worker.plan.hot->bytes.size();
   welcome.plan_hash = worker.plan.hot->hash;
-  welcome.home_bytes = worker.plan.home_bytes;
+  welcome.home_bytes = worker.peer.endpoint.text.empty() ? 0 : worker.plan.home_bytes;
   if (worker.parent != kNoWorker) { welcome.parent = workers_[index_of(worker.parent)]->peer; }
   send(worker, ChannelKind::kControl, welcome);
 }
@@ -262,6 +263,25 @@ void Job::handle(Worker& worker, const Goodbye& goodbye, Time now) {
   spdlog::info("event=worker_left worker={} tiles={}", index_of(worker.id), goodbye.stats.tiles);
   note(R"({{"event":"leave","time":{:.6f},"worker":{}}})", seconds(now - begin_),
        index_of(worker.id));
+}
+
+void Job::handle(Worker& worker, const VoxelAccesses& told, Time /*now*/) {
+  const std::size_t left = scene_.voxels.size() - worker.accesses.size();
+  if (told.first != worker.accesses.size() || told.counts.items.size() > left) { return; }
+  worker.accesses.insert(worker.accesses.end(), told.counts.items.begin(), told.counts.items.end());
+}
+
+std::vector<double> Job::accesses_by_voxel() const {
+  if (options_.count_accesses == AccessCounting::kNone) { return {}; }
+  const double scale = Tracer::accesses_per_count(options_.count_accesses);
+  std::vector<double> sums(scene_.voxels.size(), 0.0);
+  for (const auto& worker : workers_) {
+    if (worker->stats.tiles > 0 && worker->accesses.size() != sums.size()) { return {}; }
+    for (std::size_t voxel = 0; voxel < worker->accesses.size(); ++voxel) {
+      sums[voxel] += scale * static_cast<double>(worker->accesses[voxel]);
+    }
+  }
+  return sums;
 }
 
 void Job::expel(Worker& worker, const Refuse& reason, Time now) {
@@ -480,7 +500,7 @@ Job::Worker* Job::find_parent(const Worker& child) {
 }
 
 void Job::plan_homes(Time now) {
-  if (!homes_stale_ || phase_ != Phase::kRendering || scene_.voxels.empty() ||
+  if (!homes_stale_ || phase_ != Phase::kRendering ||
       now - homes_planned_ < options_.timers.plan_gap) {
     return;
   }
@@ -521,6 +541,7 @@ void Job::plan_homes(Time now) {
 }
 
 void Job::tell_homes(Worker& worker, Time now) {
+  if (!homes_) { return; }
   worker.homes_told = now;
   send(worker, ChannelKind::kControl,
        PeersChanged{homes_version_, homes_->bytes.size(), homes_->hash});
@@ -652,6 +673,7 @@ Result<MasterResult> Job::take_result() {
   result.leases = leases_.stats();
   result.origin = origin_;
   for (const auto& worker : workers_) { result.workers.push_back(worker->stats); }
+  result.accesses_by_voxel = accesses_by_voxel();
   result.poisoned_tiles = leases_.poisoned();
   if (first_lease_) {
     result.preload_seconds = seconds(*first_lease_ - *first_worker_);

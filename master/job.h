@@ -41,8 +41,8 @@ struct JobScene {
   std::function<bool(VoxelId)> block_is_intact{};
   // The error is told to the worker, which then cannot take part.
   std::function<Result<WorkerPlan>(const CacheSize&)> plan{};
-  std::vector<VoxelEntry> voxels{};  // for the plan of homes; empty: there is none
-  std::vector<double> fetches{};     // expected of each
+  std::vector<VoxelEntry> voxels{};
+  std::vector<double> fetches{};  // [voxel_count] expected, for the plan of homes
 };
 
 struct JobOptions {
@@ -112,7 +112,8 @@ class Job {
     WorkerPlan plan{};
     WorkerStats stats{};
     std::uint64_t progress = 0;
-    bool stalled = false;  // a lease expired and the renderer has not moved since
+    std::vector<std::uint64_t> accesses{};  // of the first voxels, as far as it has told them
+    bool stalled = false;                   // a lease expired and the renderer has not moved since
     Time heard_last{};
     std::map<LeaseId, Assembly> assemblies{};
     PeerAddress peer{};               // without an endpoint: it serves nobody
@@ -129,6 +130,7 @@ class Job {
   void handle(Worker& worker, const WorkerHeartbeat& heartbeat, Time now);
   void handle(Worker& worker, const Fault& fault, Time now);
   void handle(Worker& worker, const Goodbye& goodbye, Time now);
+  void handle(Worker& worker, const VoxelAccesses& told, Time now);
   template <class Other>
   void handle(Worker&, const Other&, Time) {}  // what a worker does not say
   void take_chunk(Worker& worker, const TileChunk& chunk, std::span<const std::byte> data,
@@ -147,6 +149,8 @@ class Job {
   // that nobody waits for one who took too many.
   [[nodiscard]] std::size_t leases_wanted(const Worker& worker, std::size_t ready) const;
   [[nodiscard]] std::size_t ready_count() const;
+  // Empty unless every worker that rendered a tile has told all of its own.
+  [[nodiscard]] std::vector<double> accesses_by_voxel() const;
   void expel(Worker& worker, const Refuse& reason, Time now);
   // A worker that is silent may be stopped or cut off; only one that is seen to end may have been
   // killed by its tile.

@@ -63,8 +63,7 @@ class LocalRender {
   [[nodiscard]] std::vector<double> accesses_by_voxel() const {
     std::vector<double> accesses;
     if (count_accesses_ == AccessCounting::kNone) { return accesses; }
-    const double scale =
-        count_accesses_ == AccessCounting::kSampled ? double{Tracer::kAccessSampling} : 1.0;
+    const double scale = Tracer::accesses_per_count(count_accesses_);
     for (const CellAccesses& voxel : renderer_.accesses_by_cell()) {
       accesses.push_back(scale * static_cast<double>(voxel.total()));
     }

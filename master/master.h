@@ -77,8 +77,8 @@ struct MasterResult {
   std::vector<WorkerStats> workers{};  // by WorkerId; lost workers keep their last word
   double preload_seconds = 0.0;        // first worker accepted to first tile begun
   double render_seconds = 0.0;
-  // Rays that entered each voxel, [voxel_count], scaled up where sampled; empty where not known:
-  // workers send their sums, not their voxels'.
+  // Rays that entered each voxel, [voxel_count], scaled up where sampled; empty where not known, as
+  // after a worker was lost with its counts.
   std::vector<double> accesses_by_voxel{};
   std::uint64_t connections_denied = 0;  // for their key, or for having none
   std::vector<TileId> poisoned_tiles{};  // given up and black: the program ends with kPoisonedTile

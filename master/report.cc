@@ -163,7 +163,8 @@ Json prediction_json(const RenderRecord& record) {
   if (prediction.model == "none") {
     json["error_unknown"] = "nothing was predicted";
   } else if (counted.empty()) {
-    json["error_unknown"] = "accesses were not counted voxel by voxel";
+    json["error_unknown"] =
+        "accesses were not counted, or a worker that counted some was lost before the end";
   } else {
     json["error"] = prediction_error_json(prediction, counted, record.store->tables().voxels);
   }

@@ -247,6 +247,7 @@ class WorkerLoop {
   }
   void perform(const AddTile& add) { renderer_->add_tile(add.tile); }
   void perform(const CancelTile& cancel) { renderer_->cancel_tile(cancel.tile); }
+  void perform(const TellAccesses&) { session_.on_accesses(renderer_->accesses_by_cell()); }
   void perform(Finish& finish) { finish_ = std::move(finish); }
 
   struct Queued {

@@ -180,6 +180,27 @@ void WorkerSession::handle(const Refuse& refuse, Time /*now*/) {
 }
 
 void WorkerSession::handle(const JobDone& /*done*/, Time /*now*/) {
+  if (phase_ == Phase::kRendering && welcome_.count_accesses != AccessCounting::kNone) {
+    actions_.emplace_back(TellAccesses{});
+    return;
+  }
+  part();
+}
+
+void WorkerSession::on_accesses(std::span<const CellAccesses> accesses) {
+  if (phase_ == Phase::kOver) { return; }
+  for (std::size_t first = 0; first < accesses.size(); first += kVoxelAccessesMax) {
+    VoxelAccesses told{static_cast<std::uint32_t>(first), {}};
+    for (const CellAccesses& voxel :
+         accesses.subspan(first, std::min(kVoxelAccessesMax, accesses.size() - first))) {
+      told.counts.items.push_back(voxel.total());
+    }
+    send(ChannelKind::kControl, std::move(told));
+  }
+  part();
+}
+
+void WorkerSession::part() {
   send(ChannelKind::kControl, Goodbye{counts_.stats});
   finish(ExitCode::kDone, "the job is done", /*next_master=*/true);
 }

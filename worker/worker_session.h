@@ -12,6 +12,7 @@
 #include <map>
 #include <optional>
 #include <set>
+#include <span>
 #include <string>
 #include <utility>
 #include <variant>
@@ -57,6 +58,8 @@ struct AddTile {
 struct CancelTile {
   TileId tile{};
 };
+// Answered by on_accesses().
+struct TellAccesses {};
 // Send what is to be sent, then end the process.
 struct Finish {
   ExitCode code = ExitCode::kDone;
@@ -64,8 +67,9 @@ struct Finish {
   // It was not sent away: the next master at this address may want it.
   bool next_master = false;
 };
-using WorkerAction = std::variant<ConnectBulk, ConnectPeer, DisconnectPeer, StartRenderer,
-                                  SetHotVoxels, DeliverVoxel, AddTile, CancelTile, Finish>;
+using WorkerAction =
+    std::variant<ConnectBulk, ConnectPeer, DisconnectPeer, StartRenderer, SetHotVoxels,
+                 DeliverVoxel, AddTile, CancelTile, TellAccesses, Finish>;
 
 // What the renderer has done so far; told before anything that may say so to the master.
 struct RendererCounts {
@@ -98,6 +102,8 @@ class WorkerSession {
   void on_voxel_malformed(VoxelId voxel, const std::string& reason);
   void on_tile_done(const TileDone& done, Time now);
   void on_renderer_failed(const Error& error);
+  // Renderer::accesses_by_cell(), once all is rendered.
+  void on_accesses(std::span<const CellAccesses> accesses);
   // By a signal: hands the leases back.
   void leave(ExitCode code);
   void tick(Time now);
@@ -156,6 +162,7 @@ class WorkerSession {
   void serve_peers(Time now);
   void send_heartbeat(Time now);
   void send(ChannelKind channel, Message message, Payload data = {});
+  void part();  // the job is done
   void fault(FaultKind kind, VoxelId voxel, const std::string& text);
   void finish(ExitCode code, std::string text, bool next_master = false);
 

@@ -10,14 +10,9 @@
 #include <string>
 
 #include "cache/renderer.h"
+#include "tests/cache/embree_triangles.h"
 #include "tests/scenes/grid_store.h"
 #include "tests/scenes/soups.h"
-
-#if __has_include(<embree4/rtcore.h>)
-#include <embree4/rtcore.h>
-#else
-#include <embree3/rtcore.h>
-#endif
 
 namespace preheat {
 namespace {
@@ -35,13 +30,7 @@ bool same_bits(const Met& a, const Met& b) { return std::memcmp(&a, &b, sizeof a
 
 using MetTriangles = std::map<std::uint32_t, Met>;
 
-#if RTC_VERSION_MAJOR >= 4
-using Context = RTCRayQueryContext;
-#else
-using Context = RTCIntersectContext;
-#endif
-
-struct CollectingContext : Context {
+struct CollectingContext : test::EmbreeContext {
   MetTriangles* met = nullptr;
 };
 
@@ -57,21 +46,9 @@ void collect_and_refuse(const RTCFilterFunctionNArguments* arguments) {
 class EmbreeBlock {
  public:
   EmbreeBlock(const VoxelBlockView& block, const std::string& isa)
-      : device_(rtcNewDevice(("isa=" + isa).c_str())), scene_(rtcNewScene(device_)) {
-    rtcSetSceneFlags(scene_, RTC_SCENE_FLAG_ROBUST);
-    RTCGeometry geometry = rtcNewGeometry(device_, RTC_GEOMETRY_TYPE_TRIANGLE);
-    rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3,
-                               block.positions.data(), 0, 3 * sizeof(float),
-                               block.positions.size() / 3);
-    rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3,
-                               block.indices.data(), 0, 3 * sizeof(std::uint32_t),
-                               block.indices.size() / 3);
-    rtcSetGeometryIntersectFilterFunction(geometry, collect_and_refuse);
-    rtcCommitGeometry(geometry);
-    rtcAttachGeometry(scene_, geometry);
-    rtcReleaseGeometry(geometry);
-    rtcCommitScene(scene_);
-  }
+      : device_(rtcNewDevice(("isa=" + isa).c_str())),
+        scene_(test::triangle_scene(device_, block.positions, block.indices, collect_and_refuse,
+                                    nullptr)) {}
   ~EmbreeBlock() {
     rtcReleaseScene(scene_);
     rtcReleaseDevice(device_);
@@ -84,29 +61,10 @@ class EmbreeBlock {
     CollectingContext context;
     context.met = &met;
     RTCRayHit query{};
-    query.ray = {ray.origin.x,
-                 ray.origin.y,
-                 ray.origin.z,
-                 ray.t_min,
-                 ray.direction.x,
-                 ray.direction.y,
-                 ray.direction.z,
-                 0.0F,
-                 ray.t_max,
-                 0xFFFFFFFFU,
-                 0,
-                 0};
+    query.ray = test::embree_ray(ray);
     query.hit.geomID = RTC_INVALID_GEOMETRY_ID;
-#if RTC_VERSION_MAJOR >= 4
-    rtcInitRayQueryContext(&context);
-    RTCIntersectArguments arguments;
-    rtcInitIntersectArguments(&arguments);
-    arguments.context = &context;
-    rtcIntersect1(scene_, &query, &arguments);
-#else
-    rtcInitIntersectContext(&context);
-    rtcIntersect1(scene_, &context, &query);
-#endif
+    test::init(context);
+    test::intersect(scene_, context, query);
     return met;
   }
 

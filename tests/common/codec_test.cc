@@ -78,6 +78,7 @@ std::vector<Message> one_of_each() {
           TileChunkAck{LeaseId{1}, 0},
           StatusRequest{},
           some_status(),
+          VoxelAccesses{4096, {{1, 0, 3}}},
           PeersChanged{3, 1000, {4, 5}},
           VoxelAbsent{VoxelId{7}, WorkerId{2}},
           VoxelLater{}};

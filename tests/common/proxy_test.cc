@@ -46,6 +46,16 @@ Built build(const Scene& scene, std::uint32_t voxel_references_max) {
   return built;
 }
 
+// One octree node over [-1,1]^3 is the only voxel.
+Proxy build_in_one_voxel(const Scene& scene) {
+  Octree octree;
+  octree.root = {Vec3(-1.0F), Vec3(1.0F)};
+  octree.nodes = {{0, static_cast<std::uint32_t>(scene.triangles.size()), 0}};
+  for (std::uint32_t id = 0; id < scene.triangles.size(); ++id) { octree.references.push_back(id); }
+  const std::vector<std::uint32_t> voxel_roots{0};
+  return build_proxy(scene, octree, voxel_roots);
+}
+
 // The voxels' blocks without normals, and so less than what the store holds.
 std::uint64_t block_bytes(const Scene& scene, const Built& built) {
   std::uint64_t sum = 0;
@@ -141,12 +151,7 @@ void add_bars(Scene& scene, int bars, float share) {
 
 // Of all triangles in one voxel, which has few enough of them to stay whole.
 ProxyRecord only_record(const Scene& scene) {
-  Octree octree;
-  octree.root = {Vec3(-1.0F), Vec3(1.0F)};
-  octree.nodes = {{0, static_cast<std::uint32_t>(scene.triangles.size()), 0}};
-  for (std::uint32_t id = 0; id < scene.triangles.size(); ++id) { octree.references.push_back(id); }
-  const std::vector<std::uint32_t> voxel_roots{0};
-  const Proxy proxy = build_proxy(scene, octree, voxel_roots);
+  const Proxy proxy = build_in_one_voxel(scene);
   EXPECT_EQ(proxy.records.size(), 1U);
   return proxy.records[0];
 }
@@ -254,13 +259,8 @@ TEST(Proxy, NamesWhatEachSideOfAPlaneShowsMostOf) {
   add_square(1.0F, 0.002F, 4);
   add_square(0.9F, 0.001F, 2);
   add_square(0.5F, 0.0F, 1);
-  Octree octree;
-  octree.root = {Vec3(-1.0F), Vec3(1.0F)};
-  octree.nodes = {{0, static_cast<std::uint32_t>(scene.triangles.size()), 0}};
-  for (std::uint32_t id = 0; id < scene.triangles.size(); ++id) { octree.references.push_back(id); }
-  const std::vector<std::uint32_t> voxel_roots{0};
 
-  const Proxy proxy = build_proxy(scene, octree, voxel_roots);
+  const Proxy proxy = build_in_one_voxel(scene);
 
   ASSERT_EQ(proxy.records.size(), 1U);
   const ProxyRecord& record = proxy.records[0];
@@ -281,13 +281,8 @@ TEST(Proxy, LeavesTheBlocksOfAScatteredLeafFreeThatHoldNothing) {
       add_triangle(scene, a, b, point());
     }
   }
-  Octree octree;
-  octree.root = {Vec3(-1.0F), Vec3(1.0F)};
-  octree.nodes = {{0, static_cast<std::uint32_t>(scene.triangles.size()), 0}};
-  for (std::uint32_t id = 0; id < scene.triangles.size(); ++id) { octree.references.push_back(id); }
-  const std::vector<std::uint32_t> voxel_roots{0};
 
-  const Proxy proxy = build_proxy(scene, octree, voxel_roots);
+  const Proxy proxy = build_in_one_voxel(scene);
 
   ASSERT_EQ(proxy.records.size(), 1U);
   EXPECT_EQ(proxy.records[0].shape & kShapeFlat, 0);
@@ -310,13 +305,8 @@ TEST(Proxy, KnowsWhatASideOfAScatteredLeafShowsAndHowRoundItIs) {
     const Vec3 b = point();
     add_triangle(scene, a, b, point(), 2);
   }
-  Octree octree;
-  octree.root = {Vec3(-1.0F), Vec3(1.0F)};
-  octree.nodes = {{0, static_cast<std::uint32_t>(scene.triangles.size()), 0}};
-  for (std::uint32_t id = 0; id < scene.triangles.size(); ++id) { octree.references.push_back(id); }
-  const std::vector<std::uint32_t> voxel_roots{0};
 
-  const Proxy proxy = build_proxy(scene, octree, voxel_roots);
+  const Proxy proxy = build_in_one_voxel(scene);
 
   ASSERT_EQ(proxy.records.size(), 1U);
   const ProxyRecord& record = proxy.records[0];

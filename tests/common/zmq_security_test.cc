@@ -1,12 +1,8 @@
 // Who gets a byte through to a transport with keys: only those on its list.
 
-#include <arpa/inet.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <netinet/in.h>
-#include <sys/socket.h>
 #include <sys/time.h>
-#include <unistd.h>
 
 #include <array>
 #include <atomic>
@@ -20,6 +16,7 @@
 #include "common/clock.h"
 #include "common/codec.h"
 #include "common/zmq_transport.h"
+#include "tests/common/raw_connection.h"
 
 namespace preheat {
 namespace {
@@ -198,12 +195,8 @@ TEST_F(Gate, StaysClosedForOlderProtocolsAndForOtherOnes) {
       "GET / HTTP/1.1\r\nHost: localhost\r\n\r\n", std::string(64, '\xff')};
   const Endpoint endpoint = *parse_endpoint(server_->endpoint());
   for (const std::string& words : first_words) {
-    const int fd = ::socket(AF_INET, SOCK_STREAM, 0);
-    sockaddr_in address{};
-    address.sin_family = AF_INET;
-    address.sin_port = htons(endpoint.port);
-    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-    ASSERT_EQ(::connect(fd, reinterpret_cast<const sockaddr*>(&address), sizeof address), 0);
+    const int fd = connect_raw(endpoint.port);
+    ASSERT_GE(fd, 0);
     ASSERT_EQ(::send(fd, words.data(), words.size(), MSG_NOSIGNAL),
               static_cast<ssize_t>(words.size()));
     const timeval patience{20, 0};

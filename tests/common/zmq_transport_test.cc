@@ -1,10 +1,6 @@
 #include "common/zmq_transport.h"
 
-#include <arpa/inet.h>
 #include <gtest/gtest.h>
-#include <netinet/in.h>
-#include <sys/socket.h>
-#include <unistd.h>
 
 #include <array>
 #include <atomic>
@@ -12,6 +8,7 @@
 
 #include "common/clock.h"
 #include "common/codec.h"
+#include "tests/common/raw_connection.h"
 
 namespace preheat {
 namespace {
@@ -132,12 +129,8 @@ TEST(ZmqTransport, AStrangersBytesDoNotDisturbAGoodPeer) {
   const Endpoint endpoint = *parse_endpoint((*server)->endpoint());
   std::vector<int> strangers;
   for (int i = 0; i < 20; ++i) {
-    const int fd = ::socket(AF_INET, SOCK_STREAM, 0);
-    sockaddr_in address{};
-    address.sin_family = AF_INET;
-    address.sin_port = htons(endpoint.port);
-    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-    ASSERT_EQ(::connect(fd, reinterpret_cast<const sockaddr*>(&address), sizeof address), 0);
+    const int fd = connect_raw(endpoint.port);
+    ASSERT_GE(fd, 0);
     const std::string garbage(1000, static_cast<char>(i * 13));
     EXPECT_EQ(::send(fd, garbage.data(), garbage.size(), MSG_NOSIGNAL), 1000);
     strangers.push_back(fd);

@@ -150,7 +150,8 @@ TEST_F(Report, ComparesThePredictionWithWhatWasCountedVoxelByVoxel) {
 TEST_F(Report, SaysWhyAPredictionCannotBeCompared) {
   nlohmann::json prediction = make_report(record_)["prediction"];
   EXPECT_TRUE(prediction["error"].is_null());
-  EXPECT_EQ(prediction["error_unknown"], "accesses were not counted voxel by voxel");
+  EXPECT_EQ(prediction["error_unknown"],
+            "accesses were not counted, or a worker that counted some was lost before the end");
 
   prediction_.model = "none";
   prediction = make_report(record_)["prediction"];

@@ -81,6 +81,8 @@ struct SimWorker {
   std::set<VoxelId> tile_needs{};
   Time tile_end{};
   RendererCounts counts{};
+  std::vector<CellAccesses>
+      accesses{};  // one camera ray for every tile, in the voxel of its number
   std::optional<ExitCode> exit{};
   std::set<std::uint64_t> connected{};  // to these peers
 };
@@ -93,6 +95,7 @@ class Cluster {
     options.settings.width = kWidth;
     options.settings.height = kHeight;
     options.tile_size = kTileSize;
+    options.count_accesses = AccessCounting::kExact;
     options.bulk_port = 4001;
     options.address = "sim";
     options.build = kBuild;
@@ -380,6 +383,7 @@ class Cluster {
         TileDone done{*worker.tile,
                       {std::vector<float>(pixels * 3, value_of(*worker.tile)),
                        std::vector<float>(pixels, 0.0F)}};
+        ++worker.accesses[index_of(*worker.tile) % worker.accesses.size()].camera;
         worker.tile.reset();
         ++worker.counts.stats.tiles;
         worker.session->on_tile_done(done, now_);
@@ -410,6 +414,7 @@ class Cluster {
     EXPECT_EQ(start.tables.voxels.size(), scene_.store.blocks.size());
     EXPECT_FALSE(worker.started);
     worker.started = true;
+    worker.accesses.resize(start.tables.voxels.size());
   }
   void perform(SimWorker& worker, const SetHotVoxels& hot) {
     EXPECT_TRUE(worker.started);
@@ -427,6 +432,9 @@ class Cluster {
   void perform(SimWorker& worker, const AddTile& add) { worker.queue.push_back(add.tile); }
   void perform(SimWorker& worker, const CancelTile& cancel) {
     std::erase(worker.queue, cancel.tile);
+  }
+  void perform(SimWorker& worker, const TellAccesses& /*tell*/) {
+    worker.session->on_accesses(worker.accesses);
   }
   void perform(SimWorker& worker, const Finish& finish) { worker.exit = finish.code; }
 
@@ -480,6 +488,30 @@ TEST(Cluster, CountsNoDuplicateWhereNothingFailed) {
   EXPECT_EQ(result->leases.duplicates, 0U);
   EXPECT_EQ(result->leases.expired, 0U);
   EXPECT_EQ(result->leases.granted, 104U);
+  // Each worker told what it had counted.
+  double accesses = 0.0;
+  for (const double voxel : result->accesses_by_voxel) { accesses += voxel; }
+  EXPECT_EQ(accesses, 104.0);
+}
+
+TEST(Cluster, SaysNothingOfTheVoxelsIfAWorkerIsLostWithItsCounts) {
+  std::uint64_t silent = 0;
+  for (std::uint64_t seed = 1; seed <= 10; ++seed) {
+    SCOPED_TRACE("seed " + std::to_string(seed));
+    Cluster cluster{seed, {.kills = true}};
+    for (int i = 0; i < 4; ++i) { cluster.join(); }
+    cluster.run(std::chrono::minutes(60));
+    const auto result = cluster.job().take_result();
+    ASSERT_TRUE(result.has_value());
+    if (result->accesses_by_voxel.empty()) {
+      ++silent;
+      continue;
+    }
+    double accesses = 0.0;
+    for (const double voxel : result->accesses_by_voxel) { accesses += voxel; }
+    EXPECT_GE(accesses, 104.0);
+  }
+  EXPECT_GT(silent, 0U);
 }
 
 struct Case {

@@ -32,47 +32,25 @@
 #include "common/codec.h"
 #include "common/self_test.h"
 #include "common/zmq_transport.h"
-#include "tests/system/process.h"
+#include "tests/system/render_fixture.h"
 
 namespace preheat {
 namespace {
 
 using ::testing::HasSubstr;
 
-class Faults : public ::testing::Test {
+class Faults : public RenderFixture {
  protected:
   static void SetUpTestSuite() {
-    std::string name = (fs::temp_directory_path() / "preheat_faults_XXXXXX").string();
-    ASSERT_NE(::mkdtemp(name.data()), nullptr);
-    folder = name;
-    Process compile{kPreheat, {"compile", "demo:50000", "-o", path("demo.store")}, path("log")};
-    ASSERT_EQ(compile.wait(), 0) << compile.log();
-    Process local{kPreheat, render_arguments("local", {"--local"}), path("local.log")};
-    ASSERT_EQ(local.wait(), 0) << local.log();
+    make_store("preheat_faults");
+    run_well("local", render_arguments("local", {"--local"}));
     expected = report_of("local")["image"]["pixels_sha256"];
-  }
-  static void TearDownTestSuite() { fs::remove_all(folder); }
-
-  void SetUp() override {
-    port_ = free_port_pair();
-    address_ = "tcp://127.0.0.1:" + std::to_string(port_);
   }
   void TearDown() override { workers_.clear(); }
 
-  static std::string path(const std::string& name) { return (folder / name).string(); }
-
   static std::vector<std::string> render_arguments(const std::string& name,
-                                                   std::vector<std::string> more) {
-    std::vector<std::string> arguments{"render",   path("demo.store"),
-                                       "-o",       path(name + ".exr"),
-                                       "--report", path(name + ".json"),
-                                       "--size",   "160x120",
-                                       "--spp",    "8"};
-    arguments.insert(arguments.end(), more.begin(), more.end());
-    return arguments;
-  }
-  static nlohmann::json report_of(const std::string& name) {
-    return nlohmann::json::parse(std::ifstream(path(name + ".json")));
+                                                   const std::vector<std::string>& more) {
+    return RenderFixture::render_arguments(name, "160x120", "8", more);
   }
 
   // A master that waits for workers at address_, in tiles of 8: 300 of them.
@@ -132,13 +110,6 @@ class Faults : public ::testing::Test {
     for (const auto& [tile, times] : commits) { EXPECT_EQ(times, 1) << "tile " << tile; }
   }
 
-  static inline const std::string kPreheat = PREHEAT_PROGRAM_DIR "/preheat";
-  static inline const std::string kWorker = PREHEAT_PROGRAM_DIR "/preheat-worker";
-  static inline fs::path folder{};
-  static inline std::string expected{};
-
-  unsigned port_ = 0;
-  std::string address_{};
   std::string time_scale_ = kTimeScale;
   std::vector<std::unique_ptr<Process>> workers_{};
 };
@@ -275,9 +246,8 @@ TEST_F(Faults, StrangersOnBothPortsDisturbNobody) {
   std::mt19937 random{7};
   std::vector<int> strangers;
   for (int i = 0; i < 100; ++i) {
-    const int fd = ::socket(AF_INET, SOCK_STREAM, 0);
-    const sockaddr_in address = loopback(port_ + static_cast<unsigned>(i % 2));
-    ASSERT_EQ(::connect(fd, reinterpret_cast<const sockaddr*>(&address), sizeof address), 0);
+    const int fd = connect_raw(port_ + static_cast<unsigned>(i % 2));
+    ASSERT_GE(fd, 0);
     std::string garbage(random() % 2000, '\0');
     for (char& byte : garbage) { byte = static_cast<char>(random()); }
     static_cast<void>(::send(fd, garbage.data(), garbage.size(), MSG_NOSIGNAL));
@@ -424,13 +394,16 @@ class BadPeer {
     hello.isa.text = tracing_isa();
     hello.self_test = numeric_self_test();
     hello.peer_endpoint.text = (*peers)->endpoint();
+    // Of a plan that the master has not made.
+    WorkerHeartbeat heartbeat;
+    heartbeat.homes_version = UINT32_MAX;
     auto said_last = std::chrono::steady_clock::now() - std::chrono::hours(1);
     while (!stop_) {
       const auto now = std::chrono::steady_clock::now();
       if (now - said_last > milliseconds(300)) {
         said_last = now;
         static_cast<void>((*control)->send(
-            {}, welcomed_ ? encode_frame(job_, WorkerHeartbeat{}) : encode_frame({}, hello), {}));
+            {}, welcomed_ ? encode_frame(job_, heartbeat) : encode_frame({}, hello), {}));
       }
       while (const auto received = (*control)->receive()) {
         const auto frame = decode_frame(received->head.bytes);

@@ -67,6 +67,19 @@ TEST_F(Program, RendersAnObjectUnderTheSkyAndReportsIt) {
   EXPECT_THAT(report["settings"]["sky_source"].get<std::string>(), HasSubstr("no light"));
 }
 
+TEST_F(Program, WorkersCountVoxelByVoxelWhatOneProcessCounts) {
+  const std::string view = " --size 64x48 --spp 4 --count-accesses exact";
+  const Outcome workers =
+      preheat("render scene.obj -o w.png --report w.json --workers 2 --tile-size 16" + view);
+  const Outcome local = preheat("render scene.obj -o l.png --report l.json --local" + view);
+
+  ASSERT_EQ(workers.exit_code, 0) << workers.standard_error;
+  ASSERT_EQ(local.exit_code, 0) << local.standard_error;
+  const auto by_workers = nlohmann::json::parse(content("w.json"))["prediction"]["error"];
+  EXPECT_GT(by_workers["total_ratio"], 0.5);
+  EXPECT_EQ(by_workers, nlohmann::json::parse(content("l.json"))["prediction"]["error"]);
+}
+
 TEST_F(Program, TheSecondRunCompilesNothingAndGivesTheSameBits) {
   ASSERT_EQ(preheat(std::string("render scene.obj -o a.exr") + kSmall).exit_code, 0);
   const Outcome second = preheat(std::string("render scene.obj -o b.exr") + kSmall);

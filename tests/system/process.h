@@ -1,10 +1,7 @@
 // The programs as child processes, and ports for them.
 #pragma once
 
-#include <arpa/inet.h>
 #include <fcntl.h>
-#include <netinet/in.h>
-#include <sys/socket.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -20,6 +17,8 @@
 #include <string>
 #include <thread>
 #include <vector>
+
+#include "tests/common/raw_connection.h"
 
 namespace preheat {
 
@@ -92,14 +91,6 @@ class Process {
   pid_t pid_ = 0;
   std::optional<int> ended_{};
 };
-
-inline sockaddr_in loopback(unsigned port) {
-  sockaddr_in address{};
-  address.sin_family = AF_INET;
-  address.sin_port = htons(static_cast<std::uint16_t>(port));
-  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-  return address;
-}
 
 inline bool is_free(unsigned port) {
   const int fd = ::socket(AF_INET, SOCK_STREAM, 0);

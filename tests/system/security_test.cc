@@ -17,7 +17,7 @@
 
 #include "common/codec.h"
 #include "common/zmq_transport.h"
-#include "tests/system/process.h"
+#include "tests/system/render_fixture.h"
 
 namespace preheat {
 namespace {
@@ -136,44 +136,19 @@ class Relay {
   std::thread thread_{};
 };
 
-class Security : public ::testing::Test {
+class Security : public RenderFixture {
  protected:
   static void SetUpTestSuite() {
-    std::string name = (fs::temp_directory_path() / "preheat_security_XXXXXX").string();
-    ASSERT_NE(::mkdtemp(name.data()), nullptr);
-    folder = name;
-    run_well("compile", {"compile", "demo:50000", "-o", path("demo.store")});
+    make_store("preheat_security");
     run_well("local", render_arguments("local", {"--local"}));
     run_well("keygen", {"keygen", path("keys")});
     run_well("keygen", {"keygen", path("foreign_keys")});
     expected = report_of("local")["image"]["pixels_sha256"];
   }
-  static void TearDownTestSuite() { fs::remove_all(folder); }
-
-  void SetUp() override {
-    port_ = free_port_pair();
-    address_ = "tcp://127.0.0.1:" + std::to_string(port_);
-  }
-
-  static std::string path(const std::string& name) { return (folder / name).string(); }
-
-  static void run_well(const std::string& name, const std::vector<std::string>& arguments) {
-    Process process{kPreheat, arguments, path(name + ".log")};
-    ASSERT_EQ(process.wait(), 0) << process.log();
-  }
 
   static std::vector<std::string> render_arguments(const std::string& name,
-                                                   std::vector<std::string> more) {
-    std::vector<std::string> arguments{"render",   path("demo.store"),
-                                       "-o",       path(name + ".exr"),
-                                       "--report", path(name + ".json"),
-                                       "--size",   "64x48",
-                                       "--spp",    "2"};
-    arguments.insert(arguments.end(), more.begin(), more.end());
-    return arguments;
-  }
-  static nlohmann::json report_of(const std::string& name) {
-    return nlohmann::json::parse(std::ifstream(path(name + ".json")));
+                                                   const std::vector<std::string>& more) {
+    return RenderFixture::render_arguments(name, "64x48", "2", more);
   }
 
   std::unique_ptr<Process> start_master(const std::string& name, std::vector<std::string> more) {
@@ -198,14 +173,6 @@ class Security : public ::testing::Test {
     ASSERT_EQ(master.wait(), 0) << master.log();
     EXPECT_EQ(report_of(name)["image"]["pixels_sha256"], expected);
   }
-
-  static inline const std::string kPreheat = PREHEAT_PROGRAM_DIR "/preheat";
-  static inline const std::string kWorker = PREHEAT_PROGRAM_DIR "/preheat-worker";
-  static inline fs::path folder{};
-  static inline std::string expected{};
-
-  unsigned port_ = 0;
-  std::string address_{};
 };
 
 TEST_F(Security, WithKeysTheImageIsTheSame) {
