@@ -232,7 +232,8 @@ void Fetcher::on_absent(WorkerId peer, ObjectKey key, WorkerId holder, Time now)
     drop_reply(peer, now);
     return;
   }
-  heard_from(peer, now);
+  // Of the ranges of one object each is answered so, and only the first answer still counts.
+  heard_from(peer, now).unasked = 0;
   Wanted& wanted = object->second.wanted;
   // One hint is followed; a chain of hints might be a circle.
   if (holder != kNoWorker && wanted.peers_tried == 1 && holder != peer) {

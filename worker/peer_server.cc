@@ -24,12 +24,13 @@ bool PeerServer::on_request(const SessionId& from, WorkerId asker, const RangeRe
     send_range(from, request, *block);
     return false;
   }
-  const bool fetch = standing == Standing::kHome && holder == kNoWorker;
-  if (fetch || standing == Standing::kComing) {
-    if (keep_waiting(from, request, now)) {
-      answers_.push_back({from, VoxelLater{}, {}});
-      return fetch;
-    }
+  // A voxel's first range decides where the asker goes for all of it.
+  const bool is_coming = standing == Standing::kComing || waiting_.contains(request.voxel);
+  const bool fetch =
+      !is_coming && standing == Standing::kHome && holder == kNoWorker && request.offset == 0;
+  if ((fetch || is_coming) && keep_waiting(from, request, now)) {
+    answers_.push_back({from, VoxelLater{}, {}});
+    return fetch;
   }
   answers_.push_back({from, VoxelAbsent{request.voxel, holder}, {}});
   return false;
@@ -109,6 +110,10 @@ void PeerServer::tick(Time now) {
   for (const auto& [session, count] : waiting_by_session_) {
     answers_.push_back({{session.first, session.second}, VoxelLater{}, {}});
   }
+}
+
+void PeerServer::keep_holders(const std::function<bool(VoxelId)>& is_home) {
+  std::erase_if(holders_, [&is_home](const auto& entry) { return !is_home(entry.first); });
 }
 
 void PeerServer::reset() { *this = PeerServer(timers_); }

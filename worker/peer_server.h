@@ -13,6 +13,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <unordered_map>
 #include <utility>
@@ -64,7 +65,8 @@ class PeerServer {
   void say_later(const SessionId& to) { answers_.push_back({to, VoxelLater{}, {}}); }
 
   void tick(Time now);
-  void forget_holders() { holders_.clear(); }
+  // Of the voxels that this worker is the home of from now on.
+  void keep_holders(const std::function<bool(VoxelId)>& is_home);
   void reset();
 
   [[nodiscard]] std::vector<PeerAnswer> take_answers() { return std::exchange(answers_, {}); }

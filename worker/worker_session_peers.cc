@@ -37,7 +37,7 @@ void WorkerSession::take_homes(const FetchedObject& object, Time now) {
   }
   homes_version_ = homes_announced_->version;
   homes_announced_.reset();
-  server_.forget_holders();
+  server_.keep_holders([this](VoxelId voxel) { return is_own_home(voxel); });
   know_peers(now);
 }
 

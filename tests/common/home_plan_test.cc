@@ -62,7 +62,8 @@ TEST(HomePlan, SurvivesChangedBytes) {
   for (int i = 0; i < 100'000; ++i) {
     std::vector<std::byte> bytes = encode_home_plan(some_plan());
     for (unsigned changes = 1 + below(random, 3); changes > 0; --changes) {
-      bytes[below(random, bytes).size()] = static_cast<std::byte>(random());
+      bytes[below(random, static_cast<std::uint32_t>(bytes.size()))] =
+          static_cast<std::byte>(random());
     }
     const auto plan = decode_home_plan(bytes, 4);
     if (!plan) { continue; }

@@ -307,6 +307,22 @@ TEST(FetcherPeers, OneWhoSendsWhatNobodyAskedForIsALiarInTheEnd) {
   EXPECT_EQ(test.ask(), std::vector<WorkerId>{kOrigin});
 }
 
+TEST(FetcherPeers, OneThatHoldsNothingLargeIsNoLiar) {
+  Timers timers;
+  Fetcher fetcher{timers};
+  // Eight ranges each, and eight answers, of which only the first counts.
+  for (std::uint32_t id = 0; id < Fetcher::kUnaskedMax; ++id) {
+    fetcher.want(voxel(id), Fetcher::kWindowBytes, {}, {kHome});
+    const auto requests = fetcher.take_requests(kStart);
+    ASSERT_EQ(sources_of(requests), std::vector<WorkerId>(8, kHome));
+    for (std::size_t i = 0; i < requests.size(); ++i) {
+      fetcher.on_absent(kHome, voxel(id), kNoWorker, kStart);
+    }
+    fetcher.forget(voxel(id));
+  }
+  EXPECT_FALSE(fetcher.is_banned(kHome));
+}
+
 TEST(FetcherPeers, WhatAPeerThatIsGoneWasAskedForGoesElsewhere) {
   OneVoxel test;
   static_cast<void>(test.ask());

@@ -93,6 +93,37 @@ TEST(PeerServer, AsHomeWithoutTheVoxelNamesWhoWasSentForItLast) {
   EXPECT_EQ(only<VoxelAbsent>(server).holder, kNoWorker);
 }
 
+TEST(PeerServer, AsHomeSendsAllRangesOfAVoxelTheSameWay) {
+  constexpr RangeRequest kFirst{BulkObject::kVoxel, VoxelId{7}, 0, 60};
+  constexpr RangeRequest kSecond{BulkObject::kVoxel, VoxelId{7}, 60, 40};
+  PeerServer server{Timers{}};
+  EXPECT_TRUE(server.on_request(kAnna, kAnnasId, kFirst, kBytes, Standing::kHome, kStart));
+  EXPECT_FALSE(server.on_request(kAnna, kAnnasId, kSecond, kBytes, Standing::kHome, kStart));
+  EXPECT_EQ(server.waiting(), 2U);
+  server.on_block(VoxelId{7}, block());
+  static_cast<void>(server.take_answers());
+
+  // It has not kept the voxel, but Anna may have: Bert's second range is no reason to fetch it.
+  EXPECT_FALSE(server.on_request(kBert, kBertsId, kFirst, kBytes, Standing::kHome, kStart));
+  EXPECT_EQ(only<VoxelAbsent>(server).holder, kAnnasId);
+  EXPECT_FALSE(server.on_request(kBert, kBertsId, kSecond, kBytes, Standing::kHome, kStart));
+  only<VoxelAbsent>(server);
+  EXPECT_EQ(server.waiting(), 0U);
+}
+
+TEST(PeerServer, RemembersTheHoldersOfWhatItStaysTheHomeOf) {
+  PeerServer server{Timers{}};
+  for (const std::uint32_t voxel : {7U, 8U}) {
+    static_cast<void>(
+        server.on_request(kAnna, kAnnasId, all_of(voxel), kBytes, Standing::kHomeNoRoom, kStart));
+  }
+
+  server.keep_holders([](VoxelId voxel) { return voxel == VoxelId{8}; });
+
+  EXPECT_EQ(server.holder(VoxelId{7}), kNoWorker);
+  EXPECT_EQ(server.holder(VoxelId{8}), kAnnasId);
+}
+
 TEST(PeerServer, TellsWhoWaitsThatItIsAlive) {
   PeerServer server{Timers{}};
   static_cast<void>(
