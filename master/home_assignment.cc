@@ -12,7 +12,7 @@
 namespace preheat {
 namespace {
 
-// Of a cache. Hot triangles are worth more than blocks that need not cross the network.
+// Of a cache, at most.
 constexpr std::uint64_t kHomePart = 20;
 // A worker may have so much more than its share before voxels move away from it.
 constexpr double kShareSlack = 1.05;
@@ -73,8 +73,9 @@ std::uint64_t home_bytes(const SceneTables& tables, std::uint64_t cold_block_byt
                          std::uint64_t cache_limit_bytes, std::size_t workers) {
   const std::uint64_t smallest = tables.resident_bytes_min();
   if (workers < 2 || cache_limit_bytes <= smallest) { return 0; }
-  return std::min(
-      {cold_block_bytes / workers, cache_limit_bytes / kHomePart, cache_limit_bytes - smallest});
+  const std::uint64_t share = cold_block_bytes / workers;
+  const std::uint64_t room = std::min(cache_limit_bytes / kHomePart, cache_limit_bytes - smallest);
+  return share <= room ? share : 0;
 }
 
 std::vector<std::uint16_t> assign_homes(std::span<const HomeCandidate> workers,

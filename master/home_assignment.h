@@ -21,8 +21,9 @@ namespace preheat {
                                                    double generations);
 
 // Room for the blocks that a worker keeps as their home, out of its cache: its part of the cold
-// blocks where `workers` share them, but no more than a small part of the cache, as what it takes
-// is missing elsewhere, and never what the largest voxel needs to be held.
+// blocks where so many workers share them that this is a small part of the cache and leaves what
+// the largest voxel needs to be held. With fewer workers nothing: what it takes is missing
+// elsewhere, and a home without room still knows who holds a voxel.
 [[nodiscard]] std::uint64_t home_bytes(const SceneTables& tables, std::uint64_t cold_block_bytes,
                                        std::uint64_t cache_limit_bytes, std::size_t workers);
 

@@ -133,9 +133,18 @@ TEST(HomeBytes, LeaveRoomForTheLargestVoxel) {
       if (bytes == 0) { continue; }
       EXPECT_GE(workers, 2U);
       EXPECT_GE(limit - bytes, 400U);
-      EXPECT_LE(bytes, 1000 / workers);
+      EXPECT_EQ(bytes, 1000 / workers);
+      EXPECT_LE(bytes, limit / 20);
     }
   }
+}
+
+TEST(HomeBytes, AreGivenWhereAllColdBlocksFitASmallPartOfTheCaches) {
+  SceneTables tables;
+  tables.voxels = voxels_of(10, 100);
+  EXPECT_EQ(home_bytes(tables, 1000, 20 * 200, 5), 200U);
+  EXPECT_EQ(home_bytes(tables, 1000, 20 * 200 - 1, 5), 0U);
+  EXPECT_EQ(home_bytes(tables, 1000, 20 * 200, 4), 0U);
 }
 
 TEST(ExpectedFetches, AreRaysWhereTheyAreFewAndGenerationsWhereManyAre) {
