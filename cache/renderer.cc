@@ -287,7 +287,7 @@ void Renderer::Impl::step_cache() {
   for (const VoxelCache::Command& command : cache_->step()) {
     switch (command.action) {
       case VoxelCache::Action::kFetch:
-        emit(VoxelNeeded{command.voxel});
+        emit(VoxelNeeded{command.voxel, cache_->is_waited_for(command.voxel)});
         break;
       case VoxelCache::Action::kBuild:
         jobs_.emplace_back(command.voxel);

@@ -59,6 +59,7 @@ struct HotSetReady {
 // block.
 struct VoxelNeeded {
   VoxelId voxel{};
+  bool waited_for = true;  // by rays
 };
 struct TileDone {
   TileId tile{};

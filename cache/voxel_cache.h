@@ -83,6 +83,9 @@ class VoxelCache {
   [[nodiscard]] bool is_built(VoxelId voxel) const {
     return slots_[index_of(voxel)].state == State::kBuilt;
   }
+  [[nodiscard]] bool is_waited_for(VoxelId voxel) const {
+    return slots_[index_of(voxel)].waiting > 0;
+  }
   [[nodiscard]] std::uint64_t limit_bytes() const { return limit_bytes_; }
   [[nodiscard]] std::uint64_t promised_bytes() const { return promised_bytes_; }
   [[nodiscard]] std::uint64_t held_bytes() const { return held_bytes_; }

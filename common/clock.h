@@ -32,11 +32,14 @@ using Duration = Clock::duration;
 // Every timer of the protocol in one place.
 struct Timers {
   Duration heartbeat = std::chrono::seconds(1);
-  Duration suspect = std::chrono::seconds(3);     // silent worker: no new leases
-  Duration dead = std::chrono::seconds(5);        // silent worker: its leases go to others
-  Duration lease_min = std::chrono::seconds(10);  // without progress
-  Duration fetch = std::chrono::seconds(5);       // a range request without any reply
-  Duration fetch_max = std::chrono::seconds(30);  // its back-off ends here
+  Duration suspect = std::chrono::seconds(3);          // silent worker: no new leases
+  Duration dead = std::chrono::seconds(5);             // silent worker: its leases go to others
+  Duration lease_min = std::chrono::seconds(10);       // without progress
+  Duration fetch = std::chrono::seconds(5);            // a range request without any reply
+  Duration fetch_max = std::chrono::seconds(30);       // its back-off ends here
+  Duration peer = std::chrono::milliseconds(500);      // a peer that was asked and says nothing
+  Duration peer_max = std::chrono::seconds(60);        // it is not asked for so long at most
+  Duration plan_gap = std::chrono::milliseconds(500);  // between two plans of homes
   Duration hello_retry = std::chrono::seconds(2);
   Duration tick_gap = std::chrono::seconds(3);    // the master itself was stopped
   Duration farewell = std::chrono::seconds(2);    // waiting for last words
@@ -50,8 +53,8 @@ struct Timers {
     Timers timers = *this;
     for (Duration* duration :
          {&timers.heartbeat, &timers.suspect, &timers.dead, &timers.lease_min, &timers.fetch,
-          &timers.fetch_max, &timers.hello_retry, &timers.tick_gap, &timers.farewell,
-          &timers.kill_grace, &timers.waiting_notice}) {
+          &timers.fetch_max, &timers.peer, &timers.peer_max, &timers.plan_gap, &timers.hello_retry,
+          &timers.tick_gap, &timers.farewell, &timers.kill_grace, &timers.waiting_notice}) {
       *duration = shorter(*duration);
     }
     // A busy machine lets a process wait so long without being stopped.

@@ -10,6 +10,8 @@
 
 #include "common/bounded.h"
 #include "common/check.h"
+#include "common/home_plan.h"
+#include "common/peer_address_codec.h"
 
 namespace preheat {
 namespace {
@@ -67,8 +69,15 @@ void serialize(Archive& archive, PreloadStats& preload) {
 }
 
 template <class Archive>
+void serialize(Archive& archive, SourceStats& sources) {
+  archive(sources.preload_peer_bytes, sources.preload_origin_bytes, sources.remote_peer_fetches,
+          sources.remote_peer_bytes, sources.remote_origin_bytes, sources.home_bytes,
+          sources.sent_peer_bytes, sources.home_hits, sources.peer_timeouts, sources.peer_lies);
+}
+
+template <class Archive>
 void serialize(Archive& archive, WorkerStats& stats) {
-  archive(stats.tiles, stats.rays, stats.cache, stats.preload);
+  archive(stats.tiles, stats.rays, stats.cache, stats.preload, stats.sources);
 }
 
 template <class Archive>
@@ -93,7 +102,7 @@ template <class Archive>
 void serialize(Archive& archive, Hello& hello) {
   archive(hello.session, hello.build, hello.isa, hello.self_test, hello.threads,
           enum_up_to(hello.cache_kind, CacheRequestKind::kBytes), hello.cache_share,
-          hello.cache_bytes, hello.process_id);
+          hello.cache_bytes, hello.process_id, hello.peer_endpoint);
 }
 
 template <class Archive>
@@ -101,7 +110,7 @@ void serialize(Archive& archive, Welcome& welcome) {
   archive(id(welcome.worker), welcome.bulk_port, welcome.settings, welcome.tile_size,
           enum_up_to(welcome.count_accesses, AccessCounting::kExact), welcome.paths_per_thread,
           welcome.cache_limit_bytes, welcome.tables_bytes, welcome.tables_hash, welcome.plan_bytes,
-          welcome.plan_hash);
+          welcome.plan_hash, welcome.home_bytes, welcome.parent);
 }
 
 template <class Archive>
@@ -136,7 +145,7 @@ void serialize(Archive& archive, ResultAck& ack) {
 
 template <class Archive>
 void serialize(Archive& archive, WorkerHeartbeat& heartbeat) {
-  archive(heartbeat.progress, heartbeat.stats, heartbeat.held);
+  archive(heartbeat.progress, heartbeat.stats, heartbeat.held, heartbeat.homes_version);
 }
 
 template <class Archive>
@@ -156,13 +165,13 @@ void serialize(Archive& archive, Goodbye& goodbye) {
 
 template <class Archive>
 void serialize(Archive& archive, RangeRequest& request) {
-  archive(enum_up_to(request.object, BulkObject::kVoxel), id(request.voxel), request.offset,
+  archive(enum_up_to(request.object, BulkObject::kHomes), id(request.voxel), request.offset,
           request.bytes);
 }
 
 template <class Archive>
 void serialize(Archive& archive, RangeReply& reply) {
-  archive(enum_up_to(reply.object, BulkObject::kVoxel), id(reply.voxel), reply.offset);
+  archive(enum_up_to(reply.object, BulkObject::kHomes), id(reply.voxel), reply.offset);
 }
 
 template <class Archive>
@@ -188,6 +197,16 @@ void serialize(Archive& archive, Status& status) {
           status.waiting_seconds, status.rendering_seconds);
 }
 
+template <class Archive>
+void serialize(Archive& archive, PeersChanged& changed) {
+  archive(changed.version, changed.bytes, changed.hash);
+}
+
+template <class Archive>
+void serialize(Archive& archive, VoxelAbsent& absent) {
+  archive(id(absent.voxel), id(absent.holder));
+}
+
 namespace {
 
 bool valid(const RenderSettings& settings) {
@@ -204,7 +223,8 @@ bool printable(const std::string& text) {
 
 bool valid(const Hello& hello) {
   return hello.threads >= 1 && hello.threads <= kThreadsMax && hello.cache_share >= 0.0 &&
-         hello.cache_share <= 1.0 && printable(hello.build.text) && printable(hello.isa.text);
+         hello.cache_share <= 1.0 && printable(hello.build.text) && printable(hello.isa.text) &&
+         printable(hello.peer_endpoint.text);
 }
 
 bool valid(const Welcome& welcome) {
@@ -216,13 +236,18 @@ bool valid(const Welcome& welcome) {
          welcome.bulk_port <= 65535 && welcome.tables_bytes <= kTablesBytesMax &&
          welcome.paths_per_thread >= kPathsPerThreadMin &&
          welcome.paths_per_thread <= kPathsPerThreadMax &&
-         welcome.plan_bytes <= (kVoxelCountMax + 1) * 4 && welcome.plan_bytes % 4 == 0;
+         welcome.plan_bytes <= (kVoxelCountMax + 1) * 4 && welcome.plan_bytes % 4 == 0 &&
+         welcome.home_bytes <= welcome.cache_limit_bytes && printable(welcome.parent.endpoint.text);
 }
 
 bool valid(const Refuse& refuse) { return printable(refuse.text.text); }
 
 bool valid(const RangeRequest& request) {
   return request.bytes >= 1 && request.bytes <= kChunkBytesMax && request.offset <= kTablesBytesMax;
+}
+
+bool valid(const PeersChanged& changed) {
+  return changed.version >= 1 && changed.bytes >= 1 && changed.bytes <= kHomePlanBytesMax;
 }
 
 bool valid(const Fault& fault) { return printable(fault.text.text); }

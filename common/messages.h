@@ -1,10 +1,10 @@
 // What master and workers say to each other: one struct per message, one variant for all.
 //
-// Control (small frames): Hello ... JobDone. Bulk (chunks): RangeRequest ... TileChunkAck, of which
-// RangeReply and TileChunk carry raw bytes in a frame of their own behind the message.
-// StatusRequest and Status are control again. A message's number on the wire is its place in
-// `Message`: append, and raise kProtocolVersion when anything else changes. Every container has its
-// bound in its type.
+// Control (small frames): Hello ... JobDone, StatusRequest, Status and PeersChanged. Bulk (chunks):
+// RangeRequest ... TileChunkAck, of which RangeReply and TileChunk carry raw bytes in a frame of
+// their own behind the message. Between workers: RangeRequest, RangeReply, VoxelAbsent, VoxelLater.
+// A message's number on the wire is its place in `Message`: append, and raise kProtocolVersion when
+// anything else changes. Every container has its bound in its type.
 #pragma once
 
 #include <cstddef>
@@ -23,10 +23,12 @@
 
 namespace preheat {
 
-inline constexpr std::uint16_t kProtocolVersion = 3;
+inline constexpr std::uint16_t kProtocolVersion = 4;
 inline constexpr std::size_t kControlFrameBytesMax = 64 * 1024;
 inline constexpr std::size_t kChunkBytesMax = 256 * 1024;
 inline constexpr std::uint64_t kTablesBytesMax = std::uint64_t{2} << 30;
+inline constexpr std::size_t kPeersMax = 1000;
+inline constexpr std::size_t kEndpointBytesMax = 128;
 inline constexpr std::size_t kVoxelAccessesMax = 4096;  // counts in a message
 inline constexpr std::size_t kLeasesPerWorkerMax = 2 * kThreadsMax + 1;
 
@@ -43,6 +45,13 @@ struct BoundedString {
   std::string text{};
 };
 
+// A worker as the others reach it.
+struct PeerAddress {
+  WorkerId worker = kNoWorker;
+  SessionId session{};
+  BoundedString<kEndpointBytesMax> endpoint{};  // empty: it serves nobody
+};
+
 enum class CacheRequestKind : std::uint8_t { kMasterDecides = 0, kShare = 1, kBytes = 2 };
 
 // Worker -> master, first and after every Unknown: who I am and what my bits depend on.
@@ -55,7 +64,8 @@ struct Hello {
   CacheRequestKind cache_kind = CacheRequestKind::kMasterDecides;
   double cache_share = 0.0;
   std::uint64_t cache_bytes = 0;
-  std::uint32_t process_id = 0;  // for the log
+  std::uint32_t process_id = 0;                      // for the log
+  BoundedString<kEndpointBytesMax> peer_endpoint{};  // where it serves others; empty: it does not
 };
 
 // No voxel has this number.
@@ -75,6 +85,8 @@ struct Welcome {
   // Ids of hot voxels in order, kPlanDivider, those of warm ones; u32 little-endian.
   std::uint64_t plan_bytes = 0;
   Hash128 plan_hash{};
+  std::uint64_t home_bytes = 0;  // of the cache: raw blocks of the voxels it is the home of
+  PeerAddress parent{};          // passes the hot voxels on; kNoWorker: the master sends them
 };
 
 // Master -> worker: go away. The worker exits with `exit_code`.
@@ -118,6 +130,7 @@ struct WorkerHeartbeat {
   std::uint64_t progress = 0;  // Renderer::progress()
   WorkerStats stats{};
   BoundedVector<Lease, kLeasesPerWorkerMax> held{};  // until acknowledged
+  std::uint32_t homes_version = 0;                   // of the plan of homes that it follows
 };
 
 struct MasterHeartbeat {
@@ -145,18 +158,18 @@ struct Goodbye {
 // Master -> worker: nothing is left to do. Answered by Goodbye.
 struct JobDone {};
 
-enum class BulkObject : std::uint8_t { kTables = 0, kPlan = 1, kVoxel = 2 };
+enum class BulkObject : std::uint8_t { kTables = 0, kPlan = 1, kVoxel = 2, kHomes = 3 };
 
-// Worker -> master: `bytes` of an object from `offset` on, at most kChunkBytesMax.
+// Worker -> master or peer: `bytes` of an object from `offset` on, at most kChunkBytesMax.
 struct RangeRequest {
   BulkObject object = BulkObject::kTables;
-  VoxelId voxel{};  // of kVoxel
+  VoxelId voxel{};  // of kVoxel; of kHomes the version
   std::uint64_t offset = 0;
   std::uint32_t bytes = 0;
   friend bool operator==(const RangeRequest&, const RangeRequest&) = default;
 };
 
-// Master -> worker, with the bytes behind it.
+// The answer, with the bytes behind it.
 struct RangeReply {
   BulkObject object = BulkObject::kTables;
   VoxelId voxel{};
@@ -208,9 +221,25 @@ struct VoxelAccesses {
   BoundedVector<std::uint64_t, kVoxelAccessesMax> counts{};
 };
 
-using Message =
-    std::variant<Hello, Welcome, Refuse, Unknown, Ready, Grant, Cancel, ResultAck, WorkerHeartbeat,
-                 MasterHeartbeat, Fault, Goodbye, JobDone, RangeRequest, RangeReply, TileChunk,
-                 TileChunkAck, StatusRequest, Status, VoxelAccesses>;
+// Master -> worker: there is a new plan of homes to fetch (home_plan.h).
+struct PeersChanged {
+  std::uint32_t version = 0;
+  std::uint64_t bytes = 0;
+  Hash128 hash{};
+};
+
+// Worker -> worker: I do not hold it; `holder`, if any, may.
+struct VoxelAbsent {
+  VoxelId voxel{};
+  WorkerId holder = kNoWorker;
+};
+
+// Worker -> worker: what you asked for is on its way to me; so long as I say this I am alive.
+struct VoxelLater {};
+
+using Message = std::variant<Hello, Welcome, Refuse, Unknown, Ready, Grant, Cancel, ResultAck,
+                             WorkerHeartbeat, MasterHeartbeat, Fault, Goodbye, JobDone,
+                             RangeRequest, RangeReply, TileChunk, TileChunkAck, StatusRequest,
+                             Status, VoxelAccesses, PeersChanged, VoxelAbsent, VoxelLater>;
 
 }  // namespace preheat

@@ -12,7 +12,7 @@ struct CacheStats {
   std::uint64_t build_peak_bytes = 0;  // transient memory of builds, not resident
   std::uint64_t accesses = 0;          // scaled up where sampled
   std::uint64_t misses = 0;            // (ray, voxel) pairs that parked
-  std::uint64_t remote_fetches = 0;    // voxels that arrived after the first tile began
+  std::uint64_t remote_fetches = 0;    // voxels that rays waited for, from other processes
   std::uint64_t remote_bytes = 0;
   std::uint64_t rebuilds = 0;  // BVHs built while rendering from a block already held
   std::uint64_t evictions = 0;
@@ -68,11 +68,40 @@ struct PreloadStats {
   double seconds = 0.0;
 };
 
+// Where a worker's voxels came from, and what it sent to others. Remote is what rays waited for,
+// preload what was fetched before they did.
+struct SourceStats {
+  std::uint64_t preload_peer_bytes = 0;
+  std::uint64_t preload_origin_bytes = 0;
+  std::uint64_t remote_peer_fetches = 0;
+  std::uint64_t remote_peer_bytes = 0;  // with what came from the origin: CacheStats::remote_bytes
+  std::uint64_t remote_origin_bytes = 0;
+  std::uint64_t home_bytes = 0;  // fetched only to be kept for others
+  std::uint64_t sent_peer_bytes = 0;
+  std::uint64_t home_hits = 0;      // voxels wanted here that this worker kept as their home
+  std::uint64_t peer_timeouts = 0;  // peers that were silent or too slow
+  std::uint64_t peer_lies = 0;      // peers that sent wrong bytes or no sense
+
+  void add(const SourceStats& other) {
+    preload_peer_bytes += other.preload_peer_bytes;
+    preload_origin_bytes += other.preload_origin_bytes;
+    remote_peer_fetches += other.remote_peer_fetches;
+    remote_peer_bytes += other.remote_peer_bytes;
+    remote_origin_bytes += other.remote_origin_bytes;
+    home_bytes += other.home_bytes;
+    sent_peer_bytes += other.sent_peer_bytes;
+    home_hits += other.home_hits;
+    peer_timeouts += other.peer_timeouts;
+    peer_lies += other.peer_lies;
+  }
+};
+
 struct WorkerStats {
   std::uint64_t tiles = 0;
   RayStats rays{};
   CacheStats cache{};
   PreloadStats preload{};
+  SourceStats sources{};
 };
 
 }  // namespace preheat

@@ -385,19 +385,23 @@ class ZmqTransport : public Transport {
   // Before the first socket listens: the gate is there, and a key that nobody listed does not pass
   // it.
   Result<void> close_gate() {
-    if (!shared_->security || shared_->admission) { return {}; }
+    if (!shared_->security || gate_closed_) { return {}; }
     if (::zmq_has("curve") == 0) {
       return fail(ExitCode::kUsage, "this build of ZeroMQ cannot use keys: it is without CURVE");
     }
     try {
-      shared_->admission =
-          std::make_unique<ZmqAdmission>(shared_->context, shared_->security->admit);
+      if (!shared_->admission) {
+        shared_->admission =
+            std::make_unique<ZmqAdmission>(shared_->context, shared_->security->admit);
+      }
     } catch (const zmq::error_t& error) {
       return fail(ExitCode::kFailed, fmt::format("cannot guard the sockets: {}", error.what()));
     }
-    Result<void> tested = test_gate();
+    // Who fails to listen may try again, and is tested again.
+    if (auto tested = test_gate(); !tested) { return tested; }
     shared_->admission->start_counting();
-    return tested;
+    gate_closed_ = true;
+    return {};
   }
 
   Result<void> test_gate() {
@@ -423,6 +427,7 @@ class ZmqTransport : public Transport {
   }
 
   std::shared_ptr<Shared> shared_;
+  bool gate_closed_ = false;  // and found to hold
 };
 
 }  // namespace

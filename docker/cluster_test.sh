@@ -248,6 +248,8 @@ workers_that_stay() {
   # shellcheck disable=SC2086
   check "none of them was started again" equal \
     "$(docker inspect -f '{{.RestartCount}}' $before | sort -u)" 0
+  check "they knew where others reach them, though they were there before the master's name" equal \
+    "$(farm logs worker | grep -c no_peer_socket)" 0
 }
 
 if [[ $brief == yes ]]; then

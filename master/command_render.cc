@@ -48,6 +48,7 @@ struct RenderOptions {
   std::string listen{};
   unsigned wait_workers = 1;
   SecurityOptions security{};
+  bool no_peers = false;
   std::string ledger{};
   std::string endpoint_file{};
   CacheSize cache{};
@@ -106,6 +107,7 @@ MasterOptions master_options(const RenderOptions& options) {
   master.count_accesses = options.count_accesses;
   master.paths_per_thread = options.paths_per_thread;
   master.worker_program = worker_program();
+  master.peers = !options.no_peers;
   master.security = options.security;
   if (!options.security.keys_folder.empty()) { master.reload_keys = &catch_reload_signal(); }
   master.ledger_file = options.ledger;
@@ -129,6 +131,7 @@ nlohmann::ordered_json settings_of(const RenderOptions& options) {
   if (!options.local) {
     settings["security"] = security_of(options);
     settings["cache"] = options.cache_text;
+    settings["peers"] = !options.no_peers;
     settings["preload"] = options.preload;
     settings["preload_share"] = options.preload_share < 0.0
                                     ? nlohmann::ordered_json("auto")
@@ -327,6 +330,10 @@ void add_worker_options(CLI::App& command, RenderOptions& options) {
           ->needs(listen)
           ->group(kGroup);
   add_keys_option(command, options.security)->excludes(insecure)->group(kGroup);
+  command
+      .add_flag("--no-peers", options.no_peers,
+                "Every voxel comes from here: workers pass none on to each other")
+      ->group(kGroup);
   command
       .add_option("--ledger", options.ledger,
                   "Write a JSON line for every lease, result, join and leave")

@@ -9,6 +9,7 @@
 #include "common/check.h"
 #include "common/content_hash.h"
 #include "common/tile_codec.h"
+#include "master/home_assignment.h"
 
 namespace preheat {
 namespace {
@@ -164,6 +165,15 @@ void Job::handle_hello(const SessionId& from, const Hello& hello, Time now) {
   worker->stalled = false;
   worker->heard_last = now;
   worker->assemblies.clear();
+  const bool is_new = worker->peer.worker == kNoWorker;
+  worker->peer = peer_address(*worker, hello);
+  worker->homes_version = 0;
+  homes_stale_ = true;
+  // One that comes back may have children of its own, who must not become its parents.
+  if (Worker* const parent = is_new ? find_parent(*worker) : nullptr) {
+    worker->parent = parent->id;
+    ++parent->children;
+  }
   if (!first_worker_) { first_worker_ = now; }
   spdlog::info("event=worker_joined worker={} pid={} threads={} cache_bytes={} hot_voxels={}",
                index_of(worker->id), hello.process_id, hello.threads,
@@ -186,6 +196,8 @@ void Job::welcome(const Worker& worker) {
   welcome.tables_hash = scene_.tables_hash;
   welcome.plan_bytes = worker.plan.hot->bytes.size();
   welcome.plan_hash = worker.plan.hot->hash;
+  welcome.home_bytes = worker.peer.endpoint.text.empty() ? 0 : worker.plan.home_bytes;
+  if (worker.parent != kNoWorker) { welcome.parent = workers_[index_of(worker.parent)]->peer; }
   send(worker, ChannelKind::kControl, welcome);
 }
 
@@ -197,12 +209,17 @@ void Job::handle(Worker& worker, const Ready& ready, Time now) {
   spdlog::info("event=worker_ready worker={} voxels={} bytes={} seconds={:.3f}",
                index_of(worker.id), ready.preload.voxels, ready.preload.bytes,
                ready.preload.seconds);
-  grant_to(worker, now);
+  grant_to(worker, ready_count(), now);
 }
 
 void Job::handle(Worker& worker, const WorkerHeartbeat& heartbeat, Time now) {
   worker.stats = heartbeat.stats;
   history_.counted(worker.id, worker.stats, now);
+  worker.homes_version = heartbeat.homes_version;
+  if (worker.homes_version != homes_version_ &&
+      now - worker.homes_told >= 2 * options_.timers.heartbeat) {
+    tell_homes(worker, now);
+  }
   if (heartbeat.progress != worker.progress) {
     worker.progress = heartbeat.progress;
     worker.stalled = false;
@@ -245,6 +262,7 @@ void Job::handle(Worker& worker, const Goodbye& goodbye, Time now) {
   history_.counted(worker.id, worker.stats, now);
   history_.worker_gone(worker.id, /*lost=*/false, now);
   worker.presence = Presence::kAbsent;
+  homes_stale_ = true;
   worker.assemblies.clear();
   leases_.remove_worker(worker.id);
   spdlog::info("event=worker_left worker={} tiles={}", index_of(worker.id), goodbye.stats.tiles);
@@ -253,7 +271,7 @@ void Job::handle(Worker& worker, const Goodbye& goodbye, Time now) {
 }
 
 void Job::handle(Worker& worker, const VoxelAccesses& told, Time /*now*/) {
-  const std::size_t left = scene_.voxel_count - worker.accesses.size();
+  const std::size_t left = scene_.voxels.size() - worker.accesses.size();
   if (told.first != worker.accesses.size() || told.counts.items.size() > left) { return; }
   worker.accesses.insert(worker.accesses.end(), told.counts.items.begin(), told.counts.items.end());
 }
@@ -261,7 +279,7 @@ void Job::handle(Worker& worker, const VoxelAccesses& told, Time /*now*/) {
 std::vector<double> Job::accesses_by_voxel() const {
   if (options_.count_accesses == AccessCounting::kNone) { return {}; }
   const double scale = Tracer::accesses_per_count(options_.count_accesses);
-  std::vector<double> sums(scene_.voxel_count, 0.0);
+  std::vector<double> sums(scene_.voxels.size(), 0.0);
   for (const auto& worker : workers_) {
     if (worker->stats.tiles > 0 && worker->accesses.size() != sums.size()) { return {}; }
     for (std::size_t voxel = 0; voxel < worker->accesses.size(); ++voxel) {
@@ -283,6 +301,7 @@ void Job::lose(Worker& worker, Loss loss, const char* why, Time now) {
   note(R"({{"event":"lost","time":{:.6f},"worker":{},"leases":{}}})", seconds(now - begin_),
        index_of(worker.id), leases_.held_count(worker.id));
   worker.presence = Presence::kAbsent;
+  homes_stale_ = true;
   ++workers_lost_;
   history_.worker_gone(worker.id, /*lost=*/true, now);
   worker.assemblies.clear();
@@ -322,6 +341,10 @@ void Job::on_bulk(const SessionId& from, const Envelope& frame, const Payload& d
   worker->heard_last = now;
   if (const auto* request = std::get_if<RangeRequest>(&frame.message)) {
     if (std::optional<Payload> bytes = scene_.server.answer(*request, worker->plan.hot)) {
+      if (request->object == BulkObject::kVoxel) {
+        (worker->presence == Presence::kReady ? origin_.remote_bytes : origin_.preload_bytes) +=
+            bytes->bytes.size();
+      }
       send(*worker, ChannelKind::kBulk,
            RangeReply{request->object, request->voxel, request->offset}, std::move(*bytes));
     }
@@ -400,30 +423,33 @@ void Job::take_tile(Worker& worker, const TileChunk& chunk, const Assembly& asse
          Cancel{{{verdict.cancelled->second}}});
   }
   send(worker, ChannelKind::kControl, ResultAck{chunk.lease});
-  grant_to(worker, now);
+  grant_to(worker, ready_count(), now);
 }
 
-std::size_t Job::leases_wanted(const Worker& worker) const {
+std::size_t Job::ready_count() const {
+  return static_cast<std::size_t>(
+      std::count_if(workers_.begin(), workers_.end(),
+                    [](const auto& worker) { return worker->presence == Presence::kReady; }));
+}
+
+std::size_t Job::leases_wanted(const Worker& worker, std::size_t ready) const {
   const std::size_t least = 2 * worker.threads + 1;
   const std::uint64_t samples_per_tile =
       std::uint64_t{options_.tile_size} * options_.tile_size * options_.settings.spp;
-  const std::uint64_t deep = least + 2 * worker.threads * options_.paths_per_thread / samples_per_tile;
-  const auto ready = std::count_if(workers_.begin(), workers_.end(), [](const auto& other) {
-    return other->presence == Presence::kReady;
-  });
+  const std::uint64_t deep =
+      least + 2 * worker.threads * options_.paths_per_thread / samples_per_tile;
   const std::uint64_t open = grid_.count() - leases_.tiles_committed();
-  const std::uint64_t fair =
-      open / (2 * std::max<std::uint64_t>(1, static_cast<std::uint64_t>(ready)));
+  const std::uint64_t fair = open / (2 * std::max<std::uint64_t>(1, ready));
   return std::max<std::size_t>(least, std::min({deep, fair, std::uint64_t{kLeasesPerWorkerMax}}));
 }
 
-void Job::grant_to(Worker& worker, Time now) {
+void Job::grant_to(Worker& worker, std::size_t ready, Time now) {
   if (phase_ != Phase::kRendering || worker.presence != Presence::kReady || worker.stalled ||
       now - worker.heard_last >= options_.timers.suspect) {
     return;
   }
   Grant grant;
-  const std::size_t wanted = leases_wanted(worker);
+  const std::size_t wanted = leases_wanted(worker, ready);
   while (leases_.held_count(worker.id) < wanted) {
     const std::optional<Lease> lease = leases_.grant(worker.id, now);
     if (!lease) { break; }
@@ -438,7 +464,8 @@ void Job::grant_to(Worker& worker, Time now) {
 }
 
 void Job::grant_to_all(Time now) {
-  for (const auto& worker : workers_) { grant_to(*worker, now); }
+  const std::size_t ready = ready_count();
+  for (const auto& worker : workers_) { grant_to(*worker, ready, now); }
 }
 
 void Job::tick(Time now) {
@@ -456,6 +483,79 @@ void Job::tick(Time now) {
   watch_leases(now);
   watch_phase(now);
   grant_to_all(now);
+  plan_homes(now);
+}
+
+PeerAddress Job::peer_address(const Worker& worker, const Hello& hello) const {
+  PeerAddress peer{worker.id, worker.session, {}};
+  const std::string& endpoint = hello.peer_endpoint.text;
+  if (!options_.peers || endpoint.empty()) { return peer; }
+  if (const auto fine = check_endpoint(endpoint, options_.reach_settled); fine) {
+    peer.endpoint.text = endpoint;
+  } else {
+    spdlog::warn("event=peer_address_refused worker={} reason=\"{}\"", index_of(worker.id),
+                 fine.error().message);
+  }
+  return peer;
+}
+
+Job::Worker* Job::find_parent(const Worker& child) {
+  if (child.plan.hot->bytes.empty()) { return nullptr; }
+  for (const auto& other : workers_) {
+    const bool passes_on = other->presence == Presence::kPreparing &&
+                           other->plan.hot == child.plan.hot &&
+                           !other->peer.endpoint.text.empty() && other->children < kChildrenMax;
+    if (passes_on && other->id != child.id) { return other.get(); }
+  }
+  return nullptr;
+}
+
+void Job::plan_homes(Time now) {
+  if (!homes_stale_ || phase_ != Phase::kRendering ||
+      now - homes_planned_ < options_.timers.plan_gap) {
+    return;
+  }
+  homes_stale_ = false;
+  homes_planned_ = now;
+  HomePlan plan;
+  std::vector<HomeCandidate> candidates;
+  // What everybody holds already needs no home.
+  std::vector<std::size_t> hot_count(scene_.voxels.size());
+  std::map<const EncodedPlan*, std::size_t> holders;
+  for (const auto& worker : workers_) {
+    if (worker->presence == Presence::kAbsent || worker->peer.endpoint.text.empty()) { continue; }
+    plan.peers.push_back(worker->peer);
+    candidates.push_back({worker->id, worker->plan.home_bytes});
+    ++holders[worker->plan.hot.get()];
+  }
+  for (const auto& [hot, count] : holders) {
+    for (const VoxelId voxel : hot->hot_voxels()) { hot_count[index_of(voxel)] += count; }
+  }
+  std::vector<double> fetches = scene_.fetches;
+  for (std::size_t voxel = 0; voxel < fetches.size(); ++voxel) {
+    if (candidates.size() < 2 || hot_count[voxel] == candidates.size()) { fetches[voxel] = 0.0; }
+  }
+  plan.homes = assign_homes(candidates, fetches, scene_.voxels, home_of_);
+  home_of_.assign(scene_.voxels.size(), kNoWorker);
+  for (std::size_t voxel = 0; voxel < plan.homes.size(); ++voxel) {
+    if (plan.homes[voxel] == HomePlan::kNoHome) { continue; }
+    home_of_[voxel] = plan.peers[HomePlan::index(plan.homes[voxel])].worker;
+  }
+  auto encoded = std::make_shared<EncodedPlan>();
+  encoded->bytes = encode_home_plan(plan);
+  encoded->hash = content_hash(encoded->bytes);
+  homes_ = std::move(encoded);
+  scene_.server.set_homes(++homes_version_, homes_);
+  for (const auto& worker : workers_) {
+    if (worker->presence != Presence::kAbsent) { tell_homes(*worker, now); }
+  }
+}
+
+void Job::tell_homes(Worker& worker, Time now) {
+  if (!homes_) { return; }
+  worker.homes_told = now;
+  send(worker, ChannelKind::kControl,
+       PeersChanged{homes_version_, homes_->bytes.size(), homes_->hash});
 }
 
 void Job::watch_workers(Time now) {
@@ -603,6 +703,7 @@ Result<MasterResult> Job::take_result() {
   if (error_) { return tl::unexpected(*error_); }
   MasterResult result{.film = std::move(film_)};
   result.leases = leases_.stats();
+  result.origin = origin_;
   for (const auto& worker : workers_) { result.workers.push_back(worker->stats); }
   result.accesses_by_voxel = accesses_by_voxel();
   result.poisoned_tiles = leases_.poisoned();

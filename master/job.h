@@ -31,6 +31,7 @@ namespace preheat {
 // What a worker of some cache size is told to hold.
 struct WorkerPlan {
   std::uint64_t cache_limit_bytes = 0;
+  std::uint64_t home_bytes = 0;  // of it, for blocks that it is the home of
   std::shared_ptr<const EncodedPlan> hot{};
 };
 
@@ -42,7 +43,8 @@ struct JobScene {
   std::function<bool(VoxelId)> block_is_intact{};
   // The error is told to the worker, which then cannot take part.
   std::function<Result<WorkerPlan>(const CacheSize&)> plan{};
-  std::size_t voxel_count = 0;
+  std::vector<VoxelEntry> voxels{};
+  std::vector<double> fetches{};  // [voxel_count] expected, for the plan of homes
 };
 
 struct JobOptions {
@@ -60,6 +62,8 @@ struct JobOptions {
   std::string isa{};
   std::uint64_t self_test = 0;
   Timers timers{};
+  bool peers = true;                                 // workers pass voxels on to each other
+  bool reach_settled = false;                        // also on addresses that are not loopback
   std::uint64_t seed = 0;                            // of the lease ids
   std::function<void(const std::string&)> ledger{};  // one JSON line per event; may be empty
   RenderWatch* watch = nullptr;                      // told of tiles; nullptr = nobody looks on
@@ -93,6 +97,7 @@ class Job {
  private:
   static constexpr std::size_t kWorkersMax = 1000;    // at once
   static constexpr std::size_t kSessionsMax = 16384;  // ever
+  static constexpr std::size_t kChildrenMax = 2;      // of a worker that passes the hot set on
 
   using Phase = JobPhase;
   enum class Presence : std::uint8_t { kPreparing, kReady, kAbsent };
@@ -116,6 +121,11 @@ class Job {
     bool stalled = false;                   // a lease expired and the renderer has not moved since
     Time heard_last{};
     std::map<LeaseId, Assembly> assemblies{};
+    PeerAddress peer{};               // without an endpoint: it serves nobody
+    WorkerId parent = kNoWorker;      // sends it the hot voxels
+    std::size_t children = 0;         // that it was named to as their parent
+    std::uint32_t homes_version = 0;  // as of its last heartbeat
+    Time homes_told{};
   };
   using Clocked = std::pair<Worker&, Time>;
 
@@ -133,10 +143,17 @@ class Job {
   void take_tile(Worker& worker, const TileChunk& chunk, const Assembly& assembly, Time now);
 
   void welcome(const Worker& worker);
+  [[nodiscard]] PeerAddress peer_address(const Worker& worker, const Hello& hello) const;
+  // The hot set travels down a tree of the workers that are being prepared at the same time: the
+  // first takes it from here, so that each wave of newcomers costs one stream of it.
+  [[nodiscard]] Worker* find_parent(const Worker& child);
+  void plan_homes(Time now);
+  void tell_homes(Worker& worker, Time now);
   // So many tiles that the worker's paths in flight never run short, for rays of all of them share
   // the visits of a voxel; towards the frame's end no more than half of its share of the rest, so
   // that nobody waits for one who took too many.
-  [[nodiscard]] std::size_t leases_wanted(const Worker& worker) const;
+  [[nodiscard]] std::size_t leases_wanted(const Worker& worker, std::size_t ready) const;
+  [[nodiscard]] std::size_t ready_count() const;
   // Empty unless every worker that rendered a tile has told all of its own.
   [[nodiscard]] std::vector<double> accesses_by_voxel() const;
   void expel(Worker& worker, const Refuse& reason, Time now);
@@ -144,7 +161,7 @@ class Job {
   // killed by its tile.
   enum class Loss : std::uint8_t { kSilent, kDied };
   void lose(Worker& worker, Loss loss, const char* why, Time now);
-  void grant_to(Worker& worker, Time now);
+  void grant_to(Worker& worker, std::size_t ready, Time now);
   void grant_to_all(Time now);
   void watch_workers(Time now);
   void watch_leases(Time now);
@@ -175,6 +192,12 @@ class Job {
   Time waiting_since_;
   Time waiting_told_;
   Time farewell_begin_{};
+  bool homes_stale_ = false;  // the workers are others than those of the plan
+  Time homes_planned_{};
+  std::uint32_t homes_version_ = 0;
+  std::shared_ptr<const EncodedPlan> homes_{};
+  std::vector<WorkerId> home_of_{};  // [voxel_count] as planned last; empty before
+  OriginStats origin_{};
   std::optional<std::size_t> children_left_;  // nothing if this job has no children
   std::optional<Time> first_worker_;
   std::optional<Time> first_lease_;

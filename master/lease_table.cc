@@ -78,8 +78,8 @@ std::optional<Lease> LeaseTable::grant(WorkerId worker, Time now) {
   for (const LeaseId held : entry->second) {
     if (is_suspect(leases_.at(held).tile)) { return std::nullopt; }
   }
-  const std::optional<TileId> tile =
-      scheduler_.next([this, worker](TileId candidate) { return may_lease(worker, candidate); });
+  const std::optional<TileId> tile = scheduler_.next(
+      worker, [this, worker](TileId candidate) { return may_lease(worker, candidate); });
   if (!tile) { return std::nullopt; }
   LeaseId id{random_()};
   while (leases_.contains(id)) { id = LeaseId{random_()}; }

@@ -56,7 +56,7 @@ class LocalRender {
       }
       report_progress();
     }
-    MasterResult result{std::move(film_), {}, {renderer_.stats()}, 0.0, 0.0};
+    MasterResult result{.film = std::move(film_), .workers = {renderer_.stats()}};
     const Time end = Clock::now();
     history_.counted(kSelf, result.workers.front(), end);
     result.history = history_.take(end);

@@ -20,6 +20,7 @@
 #include "common/self_test.h"
 #include "common/zmq_transport.h"
 #include "master/endpoint_file.h"
+#include "master/home_assignment.h"
 #include "master/job.h"
 #include "master/worker_processes.h"
 
@@ -50,24 +51,37 @@ std::shared_ptr<const EncodedPlan> encode_plan(const PreloadPlan& preload) {
 // Plans by cache size: workers of one size share one.
 class Planner {
  public:
-  Planner(const Store& store, const Prediction& prediction, double share)
-      : store_(store), prediction_(prediction), share_(share) {}
+  // `workers` is how many are expected to share the cold voxels; 1 or none: nobody keeps any.
+  Planner(const Store& store, const Prediction& prediction, double share, std::size_t workers)
+      : store_(store), prediction_(prediction), share_(share), workers_(workers) {}
 
   Result<WorkerPlan> plan(const CacheSize& size) {
     const Result<std::uint64_t> limit = size.resolve(store_.tables());
     if (!limit) { return tl::unexpected(limit.error()); }
     auto [entry, is_new] = plans_.try_emplace(*limit);
-    if (is_new) {
-      entry->second = encode_plan(plan_preload(store_.tables(), prediction_, *limit, share_));
-    }
-    return WorkerPlan{*limit, entry->second};
+    if (is_new) { entry->second = make(*limit); }
+    return entry->second;
   }
 
  private:
+  [[nodiscard]] WorkerPlan make(std::uint64_t limit) const {
+    const SceneTables& tables = store_.tables();
+    PreloadPlan preload = plan_preload(tables, prediction_, limit, share_);
+    std::uint64_t cold_bytes = 0;
+    for (const VoxelEntry& voxel : tables.voxels) { cold_bytes += voxel.block_bytes; }
+    for (const VoxelId voxel : preload.hot) {
+      cold_bytes -= tables.voxels[index_of(voxel)].block_bytes;
+    }
+    const std::uint64_t for_others = home_bytes(tables, cold_bytes, limit, workers_);
+    if (for_others > 0) { preload = plan_preload(tables, prediction_, limit - for_others, share_); }
+    return {limit, for_others, encode_plan(preload)};
+  }
+
   const Store& store_;
   const Prediction& prediction_;
   double share_;
-  std::map<std::uint64_t, std::shared_ptr<const EncodedPlan>> plans_;
+  std::size_t workers_;
+  std::map<std::uint64_t, WorkerPlan> plans_;
 };
 
 // Frames on their way out of one socket, in order for each peer; a peer that does not read blocks
@@ -323,11 +337,13 @@ JobOptions job_options(const MasterOptions& options, const RenderSettings& setti
   job.timers = Timers{}.scaled(time_scale());
   job.seed = random_bits();
   job.watch = options.watch;
+  job.peers = options.peers;
+  job.reach_settled = options.security.reach_settled();
   return job;
 }
 
 // `planner` and `store` outlive the scene.
-JobScene job_scene(const Store& store, Planner& planner) {
+JobScene job_scene(const Store& store, Planner& planner, std::vector<double> fetches) {
   const std::size_t voxel_count = store.tables().voxels.size();
   return {store.tables_bytes(),
           content_hash(store.tables_bytes()),
@@ -337,7 +353,21 @@ JobScene job_scene(const Store& store, Planner& planner) {
             return index_of(voxel) >= voxel_count || store.block_is_intact(voxel);
           },
           [&planner](const CacheSize& size) { return planner.plan(size); },
-          voxel_count};
+          store.tables().voxels,
+          std::move(fetches)};
+}
+
+// Every voxel is worth a home, also where nothing was predicted.
+std::vector<double> fetches_of(const Store& store, const Prediction& prediction,
+                               const RenderSettings& settings, const MasterOptions& options) {
+  std::vector<double> rays(store.tables().voxels.size());
+  for (std::size_t voxel = 0; voxel < rays.size(); ++voxel) {
+    rays[voxel] = 1.0 + prediction.rays(voxel);
+  }
+  const double in_flight =
+      static_cast<double>(options.paths_per_thread * options.threads_per_worker) *
+      static_cast<double>(std::max(1U, std::max(options.workers_to_start, options.wait_workers)));
+  return expected_fetches(rays, std::max(1.0, sample_count(settings) / in_flight));
 }
 
 }  // namespace
@@ -362,7 +392,9 @@ Result<MasterResult> run_master(const Store& store, const RenderSettings& settin
   if (!channels) { return tl::unexpected(channels.error()); }
   Guard guard{options.security.keys_folder, opened->allowed, options.reload_keys};
 
-  Planner planner{store, prediction, options.preload_share};
+  const std::size_t sharers =
+      options.peers ? std::max(options.workers_to_start, options.wait_workers) : 0;
+  Planner planner{store, prediction, options.preload_share, sharers};
   JobOptions job = job_options(options, settings, *channels);
   if (ledger.is_open()) {
     job.ledger = [&ledger](const std::string& line) { ledger << line << std::endl; };
@@ -374,7 +406,8 @@ Result<MasterResult> run_master(const Store& store, const RenderSettings& settin
     return tl::unexpected(told.error());
   }
   MasterLoop loop{std::move(opened->transport), std::move(guard), *std::move(channels),
-                  std::move(job), job_scene(store, planner)};
+                  std::move(job),
+                  job_scene(store, planner, fetches_of(store, prediction, settings, options))};
   if (auto started = loop.start_workers(options); !started) {
     return tl::unexpected(started.error());
   }

@@ -43,7 +43,8 @@ struct MasterOptions {
   std::uint32_t tile_size = 32;
   AccessCounting count_accesses = AccessCounting::kSampled;
   std::uint32_t paths_per_thread = kPathsPerThread;  // in flight
-  std::string worker_program{};  // path of preheat-worker
+  std::string worker_program{};                      // path of preheat-worker
+  bool peers = true;                                 // workers pass voxels on to each other
   SecurityOptions security{};
   // Set from outside (SIGHUP): the allow-list is read again. nullptr = never.
   std::atomic<bool>* reload_keys = nullptr;
@@ -62,9 +63,16 @@ struct MasterProgress {
   double seconds = 0.0;    // since the first tile was leased
 };
 
+// What the master sent of voxels: to workers that were being prepared, and to those at work.
+struct OriginStats {
+  std::uint64_t preload_bytes = 0;
+  std::uint64_t remote_bytes = 0;
+};
+
 struct MasterResult {
   Film film;
   LeaseStats leases{};
+  OriginStats origin{};
   std::vector<WorkerStats> workers{};  // by WorkerId; lost workers keep their last word
   double preload_seconds = 0.0;        // first worker accepted to first tile begun
   double render_seconds = 0.0;

@@ -46,12 +46,27 @@ Json rays_json(const RayStats& rays) {
           {"samples_invalid", rays.samples_invalid}};
 }
 
+// Where a worker's voxels came from.
+Json sources_json(const SourceStats& sources) {
+  return {{"preload_peer_bytes", sources.preload_peer_bytes},
+          {"preload_origin_bytes", sources.preload_origin_bytes},
+          {"remote_peer_fetches", sources.remote_peer_fetches},
+          {"remote_peer_bytes", sources.remote_peer_bytes},
+          {"remote_origin_bytes", sources.remote_origin_bytes},
+          {"home_bytes", sources.home_bytes},
+          {"sent_peer_bytes", sources.sent_peer_bytes},
+          {"home_hits", sources.home_hits},
+          {"peer_timeouts", sources.peer_timeouts},
+          {"peer_lies", sources.peer_lies}};
+}
+
 WorkerStats sum_of(const std::vector<WorkerStats>& workers) {
   WorkerStats sum;
   for (const WorkerStats& worker : workers) {
     sum.tiles += worker.tiles;
     sum.rays.add(worker.rays);
     sum.cache.add(worker.cache);
+    sum.sources.add(worker.sources);
     sum.preload.voxels = std::max(sum.preload.voxels, worker.preload.voxels);
     sum.preload.bytes = std::max(sum.preload.bytes, worker.preload.bytes);
     sum.preload.seconds = std::max(sum.preload.seconds, worker.preload.seconds);
@@ -109,7 +124,8 @@ Json workers_json(const std::vector<WorkerStats>& workers) {
                      {{"voxels", worker.preload.voxels},
                       {"bytes", worker.preload.bytes},
                       {"seconds", worker.preload.seconds}}},
-                    {"cache", cache_json(worker.cache)}});
+                    {"cache", cache_json(worker.cache)},
+                    {"sources", sources_json(worker.sources)}});
   }
   return json;
 }
@@ -183,6 +199,9 @@ nlohmann::ordered_json make_report(const RenderRecord& record) {
                        {"bytes", sum.preload.bytes},
                        {"seconds", sum.preload.seconds}};
   report["cache"] = cache_json(sum.cache);
+  report["sources"] = sources_json(sum.sources);
+  report["sources"]["origin_preload_bytes"] = result.origin.preload_bytes;
+  report["sources"]["origin_remote_bytes"] = result.origin.remote_bytes;
   report["workers"] = workers_json(result.workers);
   report["leases"] = {{"granted", result.leases.granted},
                       {"expired", result.leases.expired},

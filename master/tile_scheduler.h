@@ -1,7 +1,9 @@
-// Which tile is begun next: Morton order, so that neighbours in time are neighbours in the image
-// and share voxels; a tile that came back goes before all that were never begun.
+// Which tile a worker begins next. The tiles lie along a Hilbert curve, so that neighbours in time
+// are neighbours in the image and share voxels, and every worker goes along a stretch of its own,
+// so that workers share few. One that has come to the end of its stretch takes the later half of
+// the longest that is left. A tile that came back goes before all that were never begun.
 //
-// Pure; knows nothing of workers, leases or time.
+// Pure; knows nothing of leases or time.
 #pragma once
 
 #include <algorithm>
@@ -22,7 +24,7 @@ class TileScheduler {
   // The first pending tile that `eligible(tile)` accepts, which is then pending no more. Only tiles
   // that came back may be refused; looks at no more than 64 of those.
   template <class Eligible>
-  [[nodiscard]] std::optional<TileId> next(Eligible&& eligible) {
+  [[nodiscard]] std::optional<TileId> next(WorkerId worker, Eligible&& eligible) {
     const std::size_t returned_looked_at = std::min<std::size_t>(returned_.size(), kLookedAtMax);
     for (std::size_t i = 0; i < returned_looked_at; ++i) {
       const TileId tile = returned_[i];
@@ -30,8 +32,7 @@ class TileScheduler {
       returned_.erase(returned_.begin() + static_cast<std::ptrdiff_t>(i));
       return tile;
     }
-    if (fresh_next_ == fresh_.size()) { return std::nullopt; }
-    return fresh_[fresh_next_++];
+    return next_fresh(worker);
   }
 
   // Pending again.
@@ -40,15 +41,24 @@ class TileScheduler {
   // Pending no more, if it was given back.
   void remove(TileId tile) { std::erase(returned_, tile); }
 
-  [[nodiscard]] std::size_t pending() const {
-    return returned_.size() + fresh_.size() - fresh_next_;
-  }
+  [[nodiscard]] std::size_t pending() const;
 
  private:
   static constexpr std::size_t kLookedAtMax = 64;
 
-  std::vector<TileId> fresh_;  // [tile_count], Morton order
-  std::size_t fresh_next_ = 0;
+  // Tiles of fresh_ that were never begun; never empty.
+  struct Stretch {
+    WorkerId owner = kNoWorker;
+    std::size_t begin = 0;
+    std::size_t end = 0;
+    [[nodiscard]] std::size_t length() const { return end - begin; }
+  };
+
+  [[nodiscard]] std::optional<TileId> next_fresh(WorkerId worker);
+  [[nodiscard]] std::vector<Stretch>::iterator take_stretch(WorkerId worker);
+
+  std::vector<TileId> fresh_;  // [tile_count], along the curve
+  std::vector<Stretch> stretches_;
   std::deque<TileId> returned_;
 };
 

@@ -1,6 +1,14 @@
 #include "master/voxel_server.h"
 
+#include <cstring>
+
 namespace preheat {
+
+std::vector<VoxelId> EncodedPlan::hot_voxels() const {
+  std::vector<VoxelId> ids(hot_count);
+  if (!ids.empty()) { std::memcpy(ids.data(), bytes.data(), ids.size() * sizeof(VoxelId)); }
+  return ids;
+}
 
 std::optional<Payload> VoxelServer::answer(const RangeRequest& request,
                                            const std::shared_ptr<const EncodedPlan>& plan) const {
@@ -15,6 +23,10 @@ std::optional<Payload> VoxelServer::answer(const RangeRequest& request,
     case BulkObject::kVoxel:
       if (index_of(request.voxel) >= voxel_count_) { return std::nullopt; }
       whole.bytes = block_(request.voxel);
+      break;
+    case BulkObject::kHomes:
+      if (!homes_ || index_of(request.voxel) != homes_version_) { return std::nullopt; }
+      whole = {homes_->bytes, homes_};
       break;
   }
   if (request.offset >= whole.bytes.size() || request.bytes > whole.bytes.size() - request.offset) {

@@ -1,6 +1,6 @@
 // Answers range requests from the mapped store, without a copy: the origin of every voxel.
 //
-// Threads: immutable after construction.
+// Threads: one owner.
 #pragma once
 
 #include <cstddef>
@@ -16,11 +16,13 @@
 
 namespace preheat {
 
-// What a worker of one cache size is to hold, as it travels: see Welcome::plan_bytes.
+// A plan as it travels: what a worker of one cache size is to hold (see Welcome::plan_bytes), or
+// the homes of all workers' cold voxels (home_plan.h).
 struct EncodedPlan {
   std::size_t hot_count = 0;
   std::vector<std::byte> bytes{};
   Hash128 hash{};
+  [[nodiscard]] std::vector<VoxelId> hot_voxels() const;
 };
 
 class VoxelServer {
@@ -30,6 +32,12 @@ class VoxelServer {
               std::function<std::span<const std::byte>(VoxelId)> block)
       : tables_(tables), voxel_count_(voxel_count), block_(std::move(block)) {}
 
+  // The plan of homes that is followed from now on.
+  void set_homes(std::uint32_t version, std::shared_ptr<const EncodedPlan> homes) {
+    homes_version_ = version;
+    homes_ = std::move(homes);
+  }
+
   // The bytes asked for; nothing if there are none such.
   [[nodiscard]] std::optional<Payload> answer(const RangeRequest& request,
                                               const std::shared_ptr<const EncodedPlan>& plan) const;
@@ -37,6 +45,8 @@ class VoxelServer {
  private:
   std::span<const std::byte> tables_;
   std::size_t voxel_count_;
+  std::uint32_t homes_version_ = 0;
+  std::shared_ptr<const EncodedPlan> homes_{};
   std::function<std::span<const std::byte>(VoxelId)> block_;
 };
 

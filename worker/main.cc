@@ -84,6 +84,9 @@ int main(int argc, char** argv) {
                                           : "eviction \"" + name + "\" is not lru, lfu or s3-fifo";
       })
       ->envname("PREHEAT_EVICTION");
+  app.add_option("--peer-listen", options.peer_listen,
+                 "Where other workers ask this one for voxels, tcp://HOST:PORT, port 0 = any; "
+                 "without it any port of the address that the way to the master begins at");
   app.add_flag("--keep", options.keep,
                "Stay when the job is done or the master is gone, and serve the next master at "
                "this address; ends by a signal, or with 4 or 7 when refused");

@@ -21,7 +21,9 @@ struct WorkerOptions {
   std::uint64_t cache_bytes = 0;
   unsigned threads = 1;
   double give_up_seconds = 60.0;  // without a word from the master
-  bool keep = false;              // serve one master after the other
+  // Where other workers ask for voxels; empty: a port beside the own end of the way to the master.
+  std::string peer_listen{};
+  bool keep = false;  // serve one master after the other
   Eviction eviction = kEvictionDefault;
   SecurityOptions security{};
 };

@@ -23,7 +23,8 @@ WorkerSession::WorkerSession(Hello hello, const Timers& timers, Duration give_up
       heard_last_(now),
       tick_last_(now),
       waiting_told_(now),
-      fetcher_(timers.fetch, timers.fetch_max),
+      fetcher_(timers),
+      server_(timers),
       results_(timers.fetch, timers.fetch_max) {
   say_hello(now);
 }
@@ -105,9 +106,25 @@ void WorkerSession::begin_job(const Welcome& welcome, const JobKey& job) {
   welcome_ = welcome;
   hot_ready_ = false;
   counts_ = {};
+  for (const auto& [peer, connected] : std::map(connected_)) { disconnect_peer(peer); }
   fetcher_.reset();
+  server_.reset();
   results_.reset();
   voxels_.clear();
+  hot_known_ = false;
+  hot_missing_.clear();
+  hot_missing_count_ = 0;
+  hot_arrived_bytes_ = 0;
+  preparing_bytes_peak_ = 0;
+  needed_.clear();
+  sources_ = {};
+  remote_fetches_ = 0;
+  homes_ = {};
+  homes_version_ = 0;
+  homes_announced_.reset();
+  peers_.clear();
+  peer_by_session_.clear();
+  std::erase_if(early_, [&job](const EarlyRequest& early) { return early.job != job; });
   leases_.clear();
   orphans_.clear();
   actions_.emplace_back(ConnectBulk{static_cast<std::uint16_t>(welcome.bulk_port)});
@@ -189,30 +206,36 @@ void WorkerSession::part() {
 void WorkerSession::on_bulk(const Envelope& frame, const Payload& data, Time now) {
   if (frame.job != job_ || phase_ == Phase::kOver) { return; }
   if (const auto* reply = std::get_if<RangeReply>(&frame.message)) {
-    fetcher_.on_reply(*reply, data.bytes, now);
-    take_fetched();
+    fetcher_.on_reply(kOrigin, *reply, data.bytes, now);
+    take_fetched(now);
   } else if (const auto* ack = std::get_if<TileChunkAck>(&frame.message)) {
     results_.on_chunk_ack(*ack, now);
   }
 }
 
-void WorkerSession::take_fetched() {
+void WorkerSession::take_fetched(Time now) {
   for (const FetchedObject& object : fetcher_.take_done()) {
     switch (object.key.object) {
       case BulkObject::kTables:
-        take_tables(object);
+        take_tables(object, now);
         break;
       case BulkObject::kPlan:
-        take_plan(object);
+        take_plan(object, now);
+        break;
+      case BulkObject::kHomes:
+        take_homes(object, now);
         break;
       case BulkObject::kVoxel:
-        actions_.emplace_back(DeliverVoxel{object.key.voxel, {object.bytes, object.owner}});
+        take_voxel(object);
         break;
     }
   }
   for (const ObjectKey& key : fetcher_.take_damaged()) {
     if (key.object == BulkObject::kVoxel) {
+      server_.on_not_coming(key.voxel);
       fault(FaultKind::kVoxelDamaged, key.voxel, "its hash was wrong twice");
+    } else if (key.object == BulkObject::kHomes) {
+      spdlog::warn("event=home_plan_damaged version={}", index_of(key.voxel));
     } else {
       fault(FaultKind::kWorkerFailed, {}, "the scene tables or the plan came damaged twice");
       finish(ExitCode::kFailed, "the scene tables or the plan came damaged twice");
@@ -220,7 +243,7 @@ void WorkerSession::take_fetched() {
   }
 }
 
-void WorkerSession::take_tables(const FetchedObject& object) {
+void WorkerSession::take_tables(const FetchedObject& object, Time now) {
   Result<SceneTables> tables = decode_scene_tables(object.bytes);
   if (!tables) {
     fault(FaultKind::kWorkerFailed, {}, "the scene tables cannot be read");
@@ -229,28 +252,30 @@ void WorkerSession::take_tables(const FetchedObject& object) {
   }
   voxels_.reserve(tables->voxels.size());
   for (const VoxelEntry& voxel : tables->voxels) {
-    voxels_.emplace_back(voxel.block_bytes, voxel.hash);
-  }
-  if (welcome_.cache_limit_bytes < tables->resident_bytes_min()) {
-    finish(ExitCode::kUsage, fmt::format("a cache of {} bytes is below one voxel of {} bytes",
-                                         welcome_.cache_limit_bytes, tables->resident_bytes_min()));
-    return;
+    voxels_.push_back({voxel.block_bytes, voxel.resident_bytes, voxel.hash});
   }
   RendererOptions options;
   options.threads = hello_.threads;
-  options.cache_limit_bytes = welcome_.cache_limit_bytes;
+  options.cache_limit_bytes = welcome_.cache_limit_bytes - welcome_.home_bytes;
   options.tile_size = welcome_.tile_size;
   options.count_accesses = welcome_.count_accesses;
   options.paths_per_thread = welcome_.paths_per_thread;
+  if (options.cache_limit_bytes < tables->resident_bytes_min()) {
+    finish(ExitCode::kUsage, fmt::format("a cache of {} bytes is below one voxel of {} bytes",
+                                         options.cache_limit_bytes, tables->resident_bytes_min()));
+    return;
+  }
+  hot_missing_.assign(voxels_.size(), false);
   actions_.emplace_back(StartRenderer{std::move(*tables), welcome_.settings, options});
-  if (welcome_.plan_bytes == 0) {
-    actions_.emplace_back(SetHotVoxels{});
-  } else {
+  want_homes();
+  if (welcome_.plan_bytes > 0) {
     fetcher_.want(kPlanKey, welcome_.plan_bytes, welcome_.plan_hash);
+  } else {
+    begin_preload({}, now);
   }
 }
 
-void WorkerSession::take_plan(const FetchedObject& object) {
+void WorkerSession::take_plan(const FetchedObject& object, Time now) {
   SetHotVoxels hot;
   std::vector<bool> seen(voxels_.size());
   std::vector<VoxelId>* part = &hot.voxels;
@@ -263,13 +288,107 @@ void WorkerSession::take_plan(const FetchedObject& object) {
     seen[voxel] = true;
     part->push_back(VoxelId{voxel});
   }
-  for (const VoxelId voxel : hot.voxels) { on_voxel_needed(voxel); }
-  actions_.emplace_back(std::move(hot));
+  begin_preload(std::move(hot), now);
 }
 
-void WorkerSession::on_voxel_needed(VoxelId voxel) {
-  const auto& [bytes, hash] = voxels_.at(index_of(voxel));
-  fetcher_.want({BulkObject::kVoxel, voxel}, bytes, hash);
+void WorkerSession::begin_preload(SetHotVoxels hot, Time now) {
+  hot_known_ = true;
+  hot_missing_count_ = hot.voxels.size();
+  hot_resident_bytes_ = 0;
+  std::uint64_t block_bytes = 0;
+  for (const VoxelId voxel : hot.voxels) {
+    hot_missing_[index_of(voxel)] = true;
+    hot_resident_bytes_ += voxels_[index_of(voxel)].resident_bytes;
+    block_bytes += voxels_[index_of(voxel)].block_bytes;
+  }
+  // Until the hot BVH is built its bytes are free for blocks to pass on.
+  if (serves_peers()) {
+    const std::uint64_t limit = welcome_.cache_limit_bytes;
+    server_.shelf().set_budget(limit - std::min(limit, block_bytes));
+  }
+  know_peers(now);
+  for (const VoxelId voxel : hot.voxels) { want_voxel(voxel, {welcome_.parent.worker}); }
+  actions_.emplace_back(std::move(hot));
+  for (const VoxelId voxel : server_.waited_for()) {
+    if (!hot_missing_[index_of(voxel)]) { server_.on_not_coming(voxel); }
+  }
+  for (const EarlyRequest& early : std::exchange(early_, {})) {
+    answer_peer(early.from, early.range, now);
+  }
+}
+
+void WorkerSession::take_voxel(const FetchedObject& object) {
+  const VoxelId voxel = object.key.voxel;
+  const Payload block{object.bytes, object.owner};
+  if (hot_missing_[index_of(voxel)]) {
+    count_voxel(object, false);
+    take_hot_voxel(voxel, block);
+  } else {
+    if (is_own_home(voxel) && homes_.is_kept(voxel)) { server_.shelf().put(voxel, block); }
+    const auto needed = needed_.find(voxel);
+    const bool is_needed = needed != needed_.end();
+    count_voxel(object, is_needed ? std::optional{needed->second} : std::nullopt);
+    if (is_needed) {
+      needed_.erase(needed);
+      server_.shelf().lend(voxel, block);
+      actions_.emplace_back(DeliverVoxel{voxel, {block.bytes, block.owner}});
+    }
+  }
+  server_.on_block(voxel, block);
+}
+
+void WorkerSession::take_hot_voxel(VoxelId voxel, const Payload& block) {
+  hot_missing_[index_of(voxel)] = false;
+  hot_arrived_bytes_ += block.bytes.size();
+  BlockShelf& shelf = server_.shelf();
+  shelf.put(voxel, block);
+  preparing_bytes_peak_ = std::max(preparing_bytes_peak_, hot_arrived_bytes_ + shelf.bytes());
+  actions_.emplace_back(DeliverVoxel{voxel, {block.bytes, block.owner}});
+  if (--hot_missing_count_ > 0) { return; }
+  const std::uint64_t limit = welcome_.cache_limit_bytes;
+  shelf.set_budget(std::min(shelf.budget(), limit - std::min(limit, hot_resident_bytes_)));
+  shelf.reset_peak();
+  preparing_bytes_peak_ = std::max(preparing_bytes_peak_, hot_resident_bytes_ + shelf.bytes());
+}
+
+void WorkerSession::count_voxel(const FetchedObject& object, std::optional<bool> needed) {
+  const bool from_peer = object.source != kOrigin;
+  const std::uint64_t bytes = object.bytes.size();
+  if (!needed) {
+    sources_.home_bytes += bytes;
+    return;
+  }
+  if (!*needed) {
+    (from_peer ? sources_.preload_peer_bytes : sources_.preload_origin_bytes) += bytes;
+    return;
+  }
+  ++remote_fetches_;
+  sources_.remote_peer_fetches += from_peer ? 1 : 0;
+  (from_peer ? sources_.remote_peer_bytes : sources_.remote_origin_bytes) += bytes;
+}
+
+void WorkerSession::on_voxel_needed(const VoxelNeeded& wanted) {
+  const VoxelId voxel = wanted.voxel;
+  if (const std::optional<Payload> kept = server_.shelf().find(voxel)) {
+    ++sources_.home_hits;
+    server_.shelf().lend(voxel, *kept);
+    actions_.emplace_back(DeliverVoxel{voxel, {kept->bytes, kept->owner}});
+    return;
+  }
+  needed_[voxel] = wanted.waited_for;
+  if (is_own_home(voxel)) {
+    want_voxel(voxel, {server_.holder(voxel)});
+  } else if (const PeerAddress* const home = homes_.home_of(voxel)) {
+    want_voxel(voxel, {home->worker});
+  } else {
+    want_voxel(voxel, {});
+  }
+}
+
+void WorkerSession::want_voxel(VoxelId voxel, std::vector<WorkerId> peers) {
+  std::erase_if(peers, [this](WorkerId peer) { return !peers_.contains(peer); });
+  const VoxelName& name = voxels_.at(index_of(voxel));
+  fetcher_.want({BulkObject::kVoxel, voxel}, name.block_bytes, name.hash, std::move(peers));
 }
 
 void WorkerSession::on_voxel_malformed(VoxelId voxel, const std::string& reason) {
@@ -280,6 +399,8 @@ void WorkerSession::on_voxel_malformed(VoxelId voxel, const std::string& reason)
 void WorkerSession::on_hot_set_ready(const PreloadStats& preload) {
   hot_ready_ = true;
   preload_ = preload;
+  if (serves_peers()) { server_.shelf().set_budget(welcome_.home_bytes); }
+  server_.shelf().reset_peak();
   if (phase_ != Phase::kPreparing) { return; }
   phase_ = Phase::kRendering;
   send(ChannelKind::kControl, Ready{preload_});
@@ -313,6 +434,7 @@ void WorkerSession::send_heartbeat(Time now) {
   WorkerHeartbeat heartbeat{counts_.progress, counts_.stats, {}};
   heartbeat.held.items = results_.leases();
   for (const auto& [tile, lease] : leases_) { heartbeat.held.items.push_back(lease); }
+  heartbeat.homes_version = homes_version_;
   heartbeat.held.items.resize(std::min(heartbeat.held.items.size(), kLeasesPerWorkerMax));
   send(ChannelKind::kControl, std::move(heartbeat));
 }
@@ -345,9 +467,15 @@ void WorkerSession::tick(Time now) {
   if (now - heartbeat_last_ >= (tile_done_since_heartbeat_ ? sooner : timers_.heartbeat)) {
     send_heartbeat(now);
   }
-  for (const RangeRequest& request : fetcher_.take_requests(now)) {
-    send(ChannelKind::kBulk, request);
+  for (const auto& [source, range] : fetcher_.take_requests(now)) {
+    if (source == kOrigin) {
+      send(ChannelKind::kBulk, range);
+    } else {
+      ask_peer(source, range, now);
+    }
   }
+  disconnect_liars();
+  serve_peers(now);
   for (auto& [chunk, data] : results_.take_chunks(now)) {
     send(ChannelKind::kBulk, chunk, std::move(data));
   }

@@ -6,6 +6,8 @@
 #include <limits>
 #include <random>
 
+#include "common/home_plan.h"
+
 namespace preheat {
 namespace {
 
@@ -77,7 +79,10 @@ std::vector<Message> one_of_each() {
           TileChunkAck{LeaseId{1}, 0},
           StatusRequest{},
           some_status(),
-          VoxelAccesses{4096, {{1, 0, 3}}}};
+          VoxelAccesses{4096, {{1, 0, 3}}},
+          PeersChanged{3, 1000, {4, 5}},
+          VoxelAbsent{VoxelId{7}, WorkerId{2}},
+          VoxelLater{}};
 }
 
 TEST(Codec, EveryMessageComesBackAsItWentOut) {
@@ -150,6 +155,11 @@ TEST(Codec, RefusesValuesOutOfRange) {
   welcome.settings.view.forward.y = std::numeric_limits<float>::quiet_NaN();
   bad.emplace_back(welcome);
   welcome = some_welcome();
+  welcome.home_bytes = welcome.cache_limit_bytes + 1;
+  bad.emplace_back(welcome);
+  bad.emplace_back(PeersChanged{0, 1000, {}});
+  bad.emplace_back(PeersChanged{1, kHomePlanBytesMax + 1, {}});
+  welcome = some_welcome();
   welcome.settings.width = welcome.settings.height = 65536;  // 2^32 pixels
   bad.emplace_back(welcome);
   welcome = some_welcome();
@@ -181,7 +191,7 @@ TEST(Codec, RefusesValuesOutOfRange) {
   heartbeat.stats.cache.stall_seconds = std::numeric_limits<double>::infinity();
   bad.emplace_back(heartbeat);
   bad.emplace_back(RangeRequest{BulkObject::kVoxel, VoxelId{0}, 0, kChunkBytesMax + 1});
-  bad.emplace_back(RangeRequest{static_cast<BulkObject>(3), VoxelId{0}, 0, 1});
+  bad.emplace_back(RangeRequest{static_cast<BulkObject>(4), VoxelId{0}, 0, 1});
   bad.emplace_back(TileChunk{LeaseId{1}, TileId{1}, 0, std::uint64_t{1} << 40, {}});
   Status status = some_status();
   status.phase = static_cast<JobPhase>(4);

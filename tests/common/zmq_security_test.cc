@@ -265,6 +265,8 @@ TEST_F(Gate, DoesNotOpenAtAllWhenItLetsStrangersIn) {
 
   ASSERT_FALSE(server.has_value());
   EXPECT_THAT(server.error().message, HasSubstr("self-test"));
+  // Nor for one who asks again.
+  EXPECT_FALSE(transport->listen("tcp://127.0.0.1:*", ChannelKind::kPeer).has_value());
 }
 
 TEST_F(Gate, OfAWorkerOpensForItsPeersOnly) {

@@ -285,27 +285,5 @@ TEST_P(LeaseTableRandom, CommitsEveryTileOnceWhateverHappens) {
 
 INSTANTIATE_TEST_SUITE_P(Seeds, LeaseTableRandom, ::testing::Range<std::uint64_t>(1, 41));
 
-TEST(TileScheduler, HandsOutEveryTileOnceInMortonOrder) {
-  TileScheduler scheduler{TileGrid{96, 64, 32}};  // 3 x 2
-  const auto any = [](TileId) { return true; };
-  std::vector<std::uint32_t> order;
-  while (const auto tile = scheduler.next(any)) { order.push_back(index_of(*tile)); }
-
-  EXPECT_EQ(order, (std::vector<std::uint32_t>{0, 1, 3, 4, 2, 5}));
-}
-
-TEST(TileScheduler, WhatCameBackGoesFirst) {
-  TileScheduler scheduler{TileGrid{96, 64, 32}};
-  const auto any = [](TileId) { return true; };
-  static_cast<void>(scheduler.next(any));
-  static_cast<void>(scheduler.next(any));
-
-  scheduler.give_back(TileId{1});
-
-  EXPECT_EQ(scheduler.pending(), 5U);
-  EXPECT_EQ(scheduler.next(any), TileId{1});
-  EXPECT_EQ(scheduler.next(any), TileId{3});
-}
-
 }  // namespace
 }  // namespace preheat

@@ -1,5 +1,6 @@
 // A whole cluster in one thread: the master's job and many workers' sessions over a network that
-// delays, loses and damages, with workers that die, stop, continue and join. Seeds replay.
+// delays, loses and damages, with workers that die, stop, continue and join, and that as peers lie,
+// are silent, talk nonsense or cannot be reached. Seeds replay.
 
 #include <gtest/gtest.h>
 #include <spdlog/spdlog.h>
@@ -34,7 +35,15 @@ struct Faults {
   bool kills = false;
   bool stops = false;
   bool master_stops = false;
+  bool peers = true;             // workers serve each other
+  double liars = 0.0;            // share of workers that send others wrong bytes
+  double stallers = 0.0;         // that take requests and answer none
+  double promisers = 0.0;        // that only ever say "later"
+  double babblers = 0.0;         // that answer with what is no message
+  bool peer_partitions = false;  // some cannot reach some others, for a while
 };
+
+enum class Manners : std::uint8_t { kHonest, kLiar, kStaller, kPromiser, kBabbler };
 
 float value_of(TileId tile) { return 0.5F + static_cast<float>(index_of(tile)); }
 
@@ -57,6 +66,7 @@ struct SimScene {
 // A renderer that computes nothing: every tile needs two voxels and some time.
 struct SimWorker {
   SessionId id{};
+  Manners manners = Manners::kHonest;
   std::unique_ptr<WorkerSession> session{};
   std::mt19937_64 random{};
   bool alive = true;
@@ -74,6 +84,7 @@ struct SimWorker {
   std::vector<CellAccesses>
       accesses{};  // one camera ray for every tile, in the voxel of its number
   std::optional<ExitCode> exit{};
+  std::set<std::uint64_t> connected{};  // to these peers
 };
 
 class Cluster {
@@ -89,6 +100,7 @@ class Cluster {
     options.address = "sim";
     options.build = kBuild;
     options.seed = seed;
+    options.peers = faults.peers;
     options.ledger = [this](const std::string& line) {
       commits_ += line.find("\"commit\"") != std::string::npos ? 1U : 0U;
     };
@@ -101,7 +113,7 @@ class Cluster {
                              }},
                  [](VoxelId) { return true; },
                  [this](const CacheSize&) { return Result<WorkerPlan>(plan()); },
-                 scene_.store.blocks.size()},
+                 scene_.store.tables.voxels, std::vector<double>(scene_.store.blocks.size(), 1.0)},
         now_);
   }
 
@@ -112,6 +124,8 @@ class Cluster {
     Hello hello;
     hello.session = worker->id;
     hello.build.text = kBuild;
+    hello.peer_endpoint.text = "tcp://127.0.0.1:1";
+    worker->manners = manners();
     worker->session =
         std::make_unique<WorkerSession>(hello, Timers{}, std::chrono::seconds(60), now_);
     workers_.push_back(std::move(worker));
@@ -141,17 +155,38 @@ class Cluster {
   std::uint64_t lost = 0;
   std::uint64_t killed = 0;
   std::uint64_t stopped = 0;
+  std::uint64_t bad_answers = 0;
+  std::uint64_t cut_off = 0;
+
+  [[nodiscard]] SourceStats sources() const {
+    SourceStats sum;
+    for (const auto& worker : workers_) {
+      RendererCounts counts = worker->counts;
+      worker->session->set_counts(counts);
+      sum.add(worker->session->counts().stats.sources);
+    }
+    return sum;
+  }
 
  private:
+  enum class Route : std::uint8_t { kToMaster, kToWorker, kPeerRequest, kPeerAnswer };
   struct Mail {
-    bool to_master = false;
+    Route route{};
     ChannelKind channel{};
-    SessionId session{};
+    SessionId session{};  // of the worker that sends to the master, else of the one that receives
+    SessionId from{};     // between peers
     std::vector<std::byte> head{};
     std::vector<std::byte> data{};
   };
 
   [[nodiscard]] std::size_t hot_count() const { return scene_.store.blocks.size() / 2; }
+
+  Manners manners() {
+    if (chance(faults_.liars)) { return Manners::kLiar; }
+    if (chance(faults_.stallers)) { return Manners::kStaller; }
+    if (chance(faults_.promisers)) { return Manners::kPromiser; }
+    return chance(faults_.babblers) ? Manners::kBabbler : Manners::kHonest;
+  }
 
   WorkerPlan plan() const {
     auto hot = std::make_shared<EncodedPlan>();
@@ -168,7 +203,8 @@ class Cluster {
       add(static_cast<std::uint32_t>(voxel));
     }
     hot->hash = content_hash(hot->bytes);
-    return {scene_.store.tables.resident_bytes(), hot};
+    const std::uint64_t limit = scene_.store.tables.resident_bytes();
+    return {2 * limit, limit / 20, hot};
   }
 
   bool chance(double probability) {
@@ -190,6 +226,11 @@ class Cluster {
       workers_[random_() % workers_.size()]->stopped_until = now_ + std::chrono::seconds(8);
       ++stopped;
     }
+    if (faults_.peer_partitions && chance(0.002)) {
+      const auto a = workers_[random_() % workers_.size()]->id.low;
+      const auto b = workers_[random_() % workers_.size()]->id.low;
+      cut_until_[{a, b}] = now_ + std::chrono::seconds(1 + random_() % 20);
+    }
     // One stop at a time: workers rightly give up a master that is away for a minute.
     if (faults_.master_stops && now_ >= master_stopped_until_ && chance(0.0005)) {
       master_stopped_until_ = now_ + std::chrono::seconds(20);
@@ -206,7 +247,7 @@ class Cluster {
     if (!mail.data.empty() && chance(faults_.damage)) {
       mail.data[random_() % mail.data.size()] ^= std::byte{4};
     }
-    const auto link = std::tuple(mail.to_master, mail.channel, mail.session.low);
+    const auto link = std::tuple(mail.route, mail.channel, mail.session.low, mail.from.low);
     Time& last = link_last_[link];
     last = std::max(last, now_ + milliseconds(random_() % 30));
     mail_.emplace(last, std::move(mail));
@@ -214,9 +255,10 @@ class Cluster {
 
   void post_to_worker(const Outgoing& outgoing) {
     const auto& bytes = outgoing.data.bytes;
-    post({false,
+    post({Route::kToWorker,
           outgoing.channel,
           outgoing.to,
+          {},
           encode_frame(job_->key(), outgoing.message),
           {bytes.begin(), bytes.end()}});
   }
@@ -225,10 +267,10 @@ class Cluster {
     std::multimap<Time, Mail> later;
     while (!mail_.empty() && mail_.begin()->first <= now_) {
       const Mail mail = std::move(mail_.extract(mail_.begin()).mapped());
-      const auto frame = decode_frame(mail.head);
-      ASSERT_TRUE(frame.has_value());
-      const Payload data{mail.data, nullptr};
-      if (mail.to_master) {
+      const Payload data{mail.data, std::make_shared<int>()};
+      if (mail.route == Route::kToMaster) {
+        const auto frame = decode_frame(mail.head);
+        ASSERT_TRUE(frame.has_value());
         if (!master_runs) {
           later.emplace(now_, mail);
         } else if (mail.channel == ChannelKind::kControl) {
@@ -242,14 +284,72 @@ class Cluster {
         if (worker->id != mail.session || !worker->alive) { continue; }
         if (now_ < worker->stopped_until) {
           later.emplace(now_, mail);
-        } else if (mail.channel == ChannelKind::kControl) {
-          worker->session->on_control(*frame, now_);
         } else {
-          worker->session->on_bulk(*frame, data, now_);
+          deliver_to(*worker, mail, data);
         }
       }
     }
     mail_.merge(later);
+  }
+
+  void deliver_to(SimWorker& worker, const Mail& mail, const Payload& data) {
+    const auto frame = decode_frame(mail.head);
+    if (mail.route == Route::kPeerRequest) {
+      ASSERT_TRUE(frame.has_value());
+      worker.session->on_peer_request(mail.from, *frame, now_);
+    } else if (mail.route == Route::kPeerAnswer && !frame) {
+      worker.session->on_peer_nonsense(mail.from, now_);
+    } else if (mail.route == Route::kPeerAnswer) {
+      if (worker.connected.contains(mail.from.low)) {
+        worker.session->on_peer_answer(mail.from, *frame, data, now_);
+      }
+    } else if (mail.channel == ChannelKind::kControl) {
+      ASSERT_TRUE(frame.has_value());
+      worker.session->on_control(*frame, now_);
+    } else {
+      ASSERT_TRUE(frame.has_value());
+      worker.session->on_bulk(*frame, data, now_);
+    }
+  }
+
+  bool is_cut(const SessionId& a, const SessionId& b) {
+    for (const auto& pair : {std::pair(a.low, b.low), std::pair(b.low, a.low)}) {
+      const auto cut = cut_until_.find(pair);
+      if (cut != cut_until_.end() && now_ < cut->second) { return true; }
+    }
+    return false;
+  }
+
+  // What this worker tells another one, if anything.
+  void post_answer(const SimWorker& worker, const PeerAnswer& answer) {
+    if (is_cut(worker.id, answer.to)) {
+      ++cut_off;
+      return;
+    }
+    Mail mail{Route::kPeerAnswer,
+              ChannelKind::kPeer,
+              answer.to,
+              worker.id,
+              encode_frame(worker.session->job(), answer.message),
+              {answer.data.bytes.begin(), answer.data.bytes.end()}};
+    bad_answers += worker.manners == Manners::kHonest ? 0 : 1;
+    switch (worker.manners) {
+      case Manners::kHonest:
+        break;
+      case Manners::kLiar:
+        if (!mail.data.empty()) { mail.data[random_() % mail.data.size()] ^= std::byte{4}; }
+        break;
+      case Manners::kStaller:
+        return;
+      case Manners::kPromiser:
+        mail.head = encode_frame(worker.session->job(), VoxelLater{});
+        mail.data.clear();
+        break;
+      case Manners::kBabbler:
+        mail.head.assign(random_() % 100, std::byte{7});
+        break;
+    }
+    post(std::move(mail));
   }
 
   void run_worker(SimWorker& worker) {
@@ -262,12 +362,20 @@ class Cluster {
     }
     for (Outgoing& outgoing : worker.session->take_outgoing()) {
       const auto& bytes = outgoing.data.bytes;
-      post({true,
+      const bool to_peer = outgoing.channel == ChannelKind::kPeer;
+      EXPECT_TRUE(!to_peer || worker.connected.contains(outgoing.to.low));
+      if (to_peer && is_cut(worker.id, outgoing.to)) {
+        ++cut_off;
+        continue;
+      }
+      post({to_peer ? Route::kPeerRequest : Route::kToMaster,
             outgoing.channel,
+            to_peer ? outgoing.to : worker.id,
             worker.id,
             encode_frame(worker.session->job(), outgoing.message),
             {bytes.begin(), bytes.end()}});
     }
+    for (const PeerAnswer& answer : worker.session->take_answers()) { post_answer(worker, answer); }
   }
 
   void render(SimWorker& worker) {
@@ -298,12 +406,19 @@ class Cluster {
         const VoxelId voxel{
             static_cast<std::uint32_t>(worker.random() % scene_.store.blocks.size())};
         if (worker.held.contains(voxel) || !worker.tile_needs.insert(voxel).second) { continue; }
-        worker.session->on_voxel_needed(voxel);
+        worker.session->on_voxel_needed({voxel, worker.random() % 4 != 0});
       }
     }
   }
 
   void perform(SimWorker& /*worker*/, const ConnectBulk& /*connect*/) {}
+  void perform(SimWorker& worker, const ConnectPeer& connect) {
+    worker.connected.insert(connect.peer.session.low);
+    EXPECT_LE(worker.connected.size(), WorkerSession::kPeersConnectedMax);
+  }
+  void perform(SimWorker& worker, const DisconnectPeer& disconnect) {
+    EXPECT_EQ(worker.connected.erase(disconnect.session.low), 1U);
+  }
   void perform(SimWorker& worker, const StartRenderer& start) {
     EXPECT_EQ(start.tables.voxels.size(), scene_.store.blocks.size());
     EXPECT_FALSE(worker.started);
@@ -342,7 +457,8 @@ class Cluster {
   std::unique_ptr<Job> job_;
   std::vector<std::unique_ptr<SimWorker>> workers_;
   std::multimap<Time, Mail> mail_;
-  std::map<std::tuple<bool, ChannelKind, std::uint64_t>, Time> link_last_;
+  std::map<std::tuple<Route, ChannelKind, std::uint64_t, std::uint64_t>, Time> link_last_;
+  std::map<std::pair<std::uint64_t, std::uint64_t>, Time> cut_until_;
   Time master_stopped_until_{};
   std::uint64_t commits_ = 0;
 };
@@ -422,6 +538,9 @@ TEST_P(ClusterFaults, EndInTheSameImage) {
   std::uint64_t lost = 0;
   std::uint64_t killed = 0;
   std::uint64_t stopped = 0;
+  std::uint64_t bad_answers = 0;
+  std::uint64_t cut_off = 0;
+  SourceStats sources;
   for (std::uint64_t seed = 1; seed <= 25; ++seed) {
     SCOPED_TRACE("seed " + std::to_string(seed));
     Cluster cluster{seed, GetParam().faults};
@@ -431,21 +550,44 @@ TEST_P(ClusterFaults, EndInTheSameImage) {
     lost += cluster.lost;
     killed += cluster.killed;
     stopped += cluster.stopped;
+    bad_answers += cluster.bad_answers;
+    cut_off += cluster.cut_off;
+    sources.add(cluster.sources());
   }
   // The faults were there.
   EXPECT_EQ(lost > 0, GetParam().faults.loss > 0.0);
   EXPECT_EQ(killed > 0, GetParam().faults.kills);
   EXPECT_EQ(stopped > 0, GetParam().faults.stops || GetParam().faults.master_stops);
+  const Faults& faults = GetParam().faults;
+  EXPECT_EQ(bad_answers > 0,
+            faults.liars + faults.stallers + faults.promisers + faults.babblers > 0.0);
+  EXPECT_EQ(cut_off > 0, faults.peer_partitions);
+  EXPECT_EQ(sources.peer_lies > 0,
+            faults.liars > 0.0 || faults.babblers > 0.0 || faults.damage > 0.0);
+  EXPECT_EQ(sources.remote_peer_bytes > 0, faults.peers);
 }
 
 INSTANTIATE_TEST_SUITE_P(
     Kinds, ClusterFaults,
-    ::testing::Values(
-        Case{"Loss", {.loss = 0.05}}, Case{"Damage", {.damage = 0.002}},
-        Case{"Kills", {.kills = true}}, Case{"Stops", {.stops = true}},
-        Case{"MasterStops", {.master_stops = true}},
-        Case{"All",
-             {.loss = 0.02, .damage = 0.001, .kills = true, .stops = true, .master_stops = true}}),
+    ::testing::Values(Case{"Loss", {.loss = 0.05}}, Case{"Damage", {.damage = 0.002}},
+                      Case{"Kills", {.kills = true}}, Case{"Stops", {.stops = true}},
+                      Case{"MasterStops", {.master_stops = true}},
+                      Case{"NoPeers", {.peers = false}}, Case{"Liars", {.liars = 0.3}},
+                      Case{"Stallers", {.stallers = 0.3}}, Case{"Promisers", {.promisers = 0.3}},
+                      Case{"Babblers", {.babblers = 0.3}},
+                      Case{"PeerPartitions", {.peer_partitions = true}},
+                      Case{"BadPeersThatDie", {.kills = true, .liars = 0.2, .stallers = 0.2}},
+                      Case{"All",
+                           {.loss = 0.02,
+                            .damage = 0.001,
+                            .kills = true,
+                            .stops = true,
+                            .master_stops = true,
+                            .liars = 0.1,
+                            .stallers = 0.1,
+                            .promisers = 0.1,
+                            .babblers = 0.1,
+                            .peer_partitions = true}}),
     [](const auto& instance) { return instance.param.name; });
 
 TEST(Cluster, WithoutWorkersEndsInTime) {

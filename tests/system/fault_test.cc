@@ -1,7 +1,8 @@
 // Masters and workers as processes, with what goes wrong in real life: killed, stopped, late, of
 // another version, alone, talked to by strangers. The image is always that of `--local`.
 //
-// PREHEAT_KILLS sets how many workers are killed in one render (default 6).
+// PREHEAT_KILLS sets how many workers are killed in one render, and how many homes in several
+// (default 6).
 
 #include <arpa/inet.h>
 #include <gmock/gmock.h>
@@ -10,6 +11,8 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include <array>
+#include <atomic>
 #include <chrono>
 #include <csignal>
 #include <cstdlib>
@@ -25,6 +28,7 @@
 #include <thread>
 #include <vector>
 
+#include "cache/renderer.h"
 #include "common/codec.h"
 #include "common/self_test.h"
 #include "common/zmq_transport.h"
@@ -319,6 +323,167 @@ TEST_F(Faults, AWorkerLeavesAMasterOfAnotherProtocolVersion) {
   EXPECT_THAT(worker.log(), HasSubstr("version " + std::to_string(kProtocolVersion)));
 }
 
+// How long the renders took in which nobody and in which somebody was killed is printed, not
+// judged.
+TEST_F(Faults, HomesKilledDuringFetchesCostTimeOnly) {
+  const std::uint32_t seed = std::random_device{}();
+  SCOPED_TRACE("seed " + std::to_string(seed));
+  std::mt19937 random{seed};
+  const char* const wanted = std::getenv("PREHEAT_KILLS");
+  const int kills_wanted = wanted == nullptr ? 6 : std::atoi(wanted);
+  const std::vector<std::string> options{"--wait-workers", "3", "--cache", "10%"};
+  const auto undisturbed = start_master("homes", options);
+  for (int i = 0; i < 3; ++i) { start_worker(); }
+  expect_whole("homes", *undisturbed);
+  const nlohmann::json clean = report_of("homes");
+  EXPECT_GT(clean["sources"]["remote_peer_bytes"], 0);
+  int kills = 0;
+  std::uint64_t timeouts = 0;
+  double seconds_most = 0.0;
+  for (int round = 0; kills < kills_wanted && round < 10 * kills_wanted; ++round) {
+    workers_.clear();
+    const auto master = start_master("homes", options);
+    std::vector<Process*> alive;
+    for (int i = 0; i < 3; ++i) { alive.push_back(&start_worker()); }
+    ASSERT_TRUE(wait_for("homes", "lease", 1, *master)) << master->log();
+    for (int i = 0; i < 3 && kills < kills_wanted; ++i) {
+      std::this_thread::sleep_for(milliseconds(50 + random() % 400));
+      if (!master->running()) { break; }
+      Process*& victim = alive[random() % alive.size()];
+      victim->signal(SIGKILL);
+      static_cast<void>(victim->wait());
+      ++kills;
+      victim = &start_worker();
+    }
+    expect_whole("homes", *master);
+    const nlohmann::json report = report_of("homes");
+    timeouts += report["sources"]["peer_timeouts"].get<std::uint64_t>();
+    seconds_most = std::max(seconds_most, report["time"]["render"].get<double>());
+  }
+
+  EXPECT_EQ(kills, kills_wanted);
+  std::cout << kills << " kills, seed " << seed << ", " << timeouts
+            << " times a peer was given up, render " << clean["time"]["render"]
+            << " s undisturbed, at most " << seconds_most << " s with up to three kills\n";
+}
+
+// A worker that joins, renders nothing, and is the home of its part of the scene and the first that
+// the hot set is asked of; it answers others in one wrong way.
+class BadPeer {
+ public:
+  enum class Way { kWrongBytes, kWrongVoxel, kHugeFrame, kNonsense, kSilence, kPromises };
+
+  BadPeer(const std::string& master, Way way)
+      : way_(way), thread_([this, master] { run(master); }) {}
+  ~BadPeer() {
+    stop_ = true;
+    thread_.join();
+  }
+  [[nodiscard]] bool welcomed() const { return welcomed_; }
+  [[nodiscard]] int asked() const { return asked_; }
+
+ private:
+  void run(const std::string& master) {
+    const auto transport = make_zmq_transport();
+    const SessionId session = random_session();
+    const auto peers = transport->listen("tcp://127.0.0.1:*", ChannelKind::kPeer);
+    const auto control = transport->connect(master, ChannelKind::kControl, session);
+    Hello hello;
+    hello.session = session;
+    hello.build.text = build_version();
+    hello.isa.text = tracing_isa();
+    hello.self_test = numeric_self_test();
+    hello.peer_endpoint.text = (*peers)->endpoint();
+    // Of a plan that the master has not made.
+    WorkerHeartbeat heartbeat;
+    heartbeat.homes_version = UINT32_MAX;
+    auto said_last = std::chrono::steady_clock::now() - std::chrono::hours(1);
+    while (!stop_) {
+      const auto now = std::chrono::steady_clock::now();
+      if (now - said_last > milliseconds(300)) {
+        said_last = now;
+        static_cast<void>((*control)->send(
+            {}, welcomed_ ? encode_frame(job_, heartbeat) : encode_frame({}, hello), {}));
+      }
+      while (const auto received = (*control)->receive()) {
+        const auto frame = decode_frame(received->head.bytes);
+        if (frame && std::holds_alternative<Welcome>(frame->message)) {
+          job_ = frame->job;
+          welcomed_ = true;
+        }
+      }
+      while (const auto received = (*peers)->receive()) {
+        const auto frame = decode_frame(received->head.bytes);
+        if (frame) { answer(**peers, received->session, std::get<RangeRequest>(frame->message)); }
+      }
+      const std::array<Channel*, 2> channels{control->get(), peers->get()};
+      transport->wait(channels, -1, milliseconds(20));
+    }
+  }
+
+  void answer(Channel& channel, const SessionId& to, const RangeRequest& range) {
+    ++asked_;
+    auto bytes = std::make_shared<std::vector<std::byte>>(range.bytes);
+    RangeReply reply{range.object, range.voxel, range.offset};
+    std::vector<std::byte> head = encode_frame(job_, reply);
+    switch (way_) {
+      case Way::kWrongBytes:
+        break;
+      case Way::kWrongVoxel:
+        reply.voxel = VoxelId{index_of(range.voxel) ^ 1U};
+        head = encode_frame(job_, reply);
+        break;
+      case Way::kHugeFrame:
+        bytes->resize(64 * kChunkBytesMax);
+        break;
+      case Way::kNonsense:
+        head.assign(50, std::byte{0x5A});
+        break;
+      case Way::kSilence:
+        return;
+      case Way::kPromises:
+        head = encode_frame(job_, VoxelLater{});
+        bytes->clear();
+        break;
+    }
+    static_cast<void>(channel.send(to, head, {*bytes, bytes}));
+  }
+
+  Way way_;
+  JobKey job_{};
+  std::atomic<bool> stop_{false};
+  std::atomic<bool> welcomed_{false};
+  std::atomic<int> asked_{0};
+  std::thread thread_;
+};
+
+TEST_F(Faults, APeerThatLiesOrStallsCostsTimeOnly) {
+  using Way = BadPeer::Way;
+  for (const Way way : {Way::kWrongBytes, Way::kWrongVoxel, Way::kHugeFrame, Way::kNonsense,
+                        Way::kSilence, Way::kPromises}) {
+    SCOPED_TRACE("way " + std::to_string(static_cast<int>(way)));
+    workers_.clear();
+    const auto master = start_master("bad_peer", {"--wait-workers", "3", "--cache", "25%"});
+    const BadPeer peer{address_, way};
+    while (!peer.welcomed() && master->running()) { std::this_thread::sleep_for(milliseconds(5)); }
+    for (int i = 0; i < 2; ++i) { start_worker(); }
+
+    expect_whole("bad_peer", *master);
+
+    const nlohmann::json sources = report_of("bad_peer")["sources"];
+    EXPECT_GT(peer.asked(), 0);
+    if (way == Way::kWrongBytes || way == Way::kNonsense) {
+      EXPECT_GE(sources["peer_lies"], 1) << sources;
+    } else {
+      EXPECT_GE(sources["peer_timeouts"].get<int>() + sources["peer_lies"].get<int>(), 1)
+          << sources;
+    }
+    std::cout << "way " << static_cast<int>(way) << ": asked " << peer.asked() << " times, "
+              << sources["peer_timeouts"] << " timeouts, " << sources["peer_lies"] << " lies, "
+              << report_of("bad_peer")["time"]["total"] << " s\n";
+  }
+}
+
 TEST_F(Faults, AUsedPortIsNamed) {
   const int fd = ::socket(AF_INET, SOCK_STREAM, 0);
   const sockaddr_in address = loopback(port_);
@@ -343,6 +508,26 @@ TEST_F(Faults, NobodyComes) {
   EXPECT_EQ(master.wait(), 3);
   EXPECT_THAT(master.log(), HasSubstr("no workers in time: 0 of 1"));
   EXPECT_EQ(worker.wait(), 4);
+}
+
+TEST_F(Faults, AWorkerWaitsForANameThatIsNotKnownYet) {
+  const std::vector<std::string> arguments{"--connect", "tcp://preheat.invalid:4000",
+                                           "--insecure-no-auth", "--give-up"};
+  std::vector<std::string> hasty = arguments;
+  hasty.emplace_back("0.5");
+  std::vector<std::string> patient = arguments;
+  patient.emplace_back("600");
+
+  Process gives_up{kWorker, hasty, path("gives_up.log")};
+  Process waits{kWorker, patient, path("waits.log")};
+
+  EXPECT_EQ(gives_up.wait(), 4);
+  EXPECT_THAT(gives_up.log(), HasSubstr("preheat.invalid"));
+  while (waits.running() && waits.log().find("event=waiting_for_way") == std::string::npos) {
+    std::this_thread::sleep_for(milliseconds(5));
+  }
+  waits.signal(SIGTERM);
+  EXPECT_EQ(waits.wait(), 143) << waits.log();
 }
 
 TEST_F(Faults, ADamagedVoxelEndsTheJobAndIsNamed) {

@@ -23,6 +23,7 @@ struct Combination {
   const char* preload = "transport";
   unsigned tile_size = 32;
   unsigned threads = 1;
+  bool peers = true;
 };
 
 std::vector<Combination> every_combination() {
@@ -32,7 +33,9 @@ std::vector<Combination> every_combination() {
       for (const char* preload : {"none", "random", "transport"}) {
         for (const unsigned tile_size : {16U, 32U}) {
           for (const unsigned threads : {1U, 2U}) {
-            all.push_back({workers, cache, preload, tile_size, threads});
+            for (const bool peers : {true, false}) {
+              all.push_back({workers, cache, preload, tile_size, threads, peers});
+            }
           }
         }
       }
@@ -73,13 +76,14 @@ class Identity : public testing::Test {
     int rendered = 0;
     int different = 0;
     const std::vector<Combination> combinations = every_combination();
-    // 13 is coprime to every count of choices, so the cross-section meets each of them.
-    for (std::size_t index = 0; index < combinations.size(); index += full ? 1 : 13) {
+    // 23 is coprime to every count of choices, so the cross-section meets each of them.
+    for (std::size_t index = 0; index < combinations.size(); index += full ? 1 : 23) {
       const Combination& with = combinations[index];
       const std::string arguments = view + " --workers " + std::to_string(with.workers) +
                                     " --cache " + with.cache + " --preload " + with.preload +
                                     " --tile-size " + std::to_string(with.tile_size) +
-                                    " --threads " + std::to_string(with.threads);
+                                    " --threads " + std::to_string(with.threads) +
+                                    (with.peers ? "" : " --no-peers");
       const nlohmann::json report = render(scene, arguments);
       ASSERT_FALSE(report.is_null());
       ++rendered;

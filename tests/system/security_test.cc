@@ -414,6 +414,33 @@ TEST_F(Security, AKeptWorkerServesOneMasterAfterTheOther) {
   EXPECT_EQ(worker->wait(), 143) << worker->log();
 }
 
+// One of them at a port of the user's choice, which has to be there for the second master too.
+TEST_F(Security, KeptWorkersServeEachOtherUnderEveryMaster) {
+  const std::vector<std::string> view{"--size", "160x120", "--spp", "8", "--tile-size", "8"};
+  std::vector<std::string> local = view;
+  local.emplace_back("--local");
+  run_well("whole", render_arguments("whole", local));
+  const std::string place = "tcp://127.0.0.2:" + std::to_string(port_);
+  const std::vector<std::string> kept{"--keys", path("keys"), "--keep"};
+  std::vector<std::string> placed = kept;
+  placed.insert(placed.end(), {"--peer-listen", place});
+  const auto first = start_worker("first_peer", address_, placed);
+  const auto second = start_worker("second_peer", address_, kept);
+
+  for (const char* const name : {"served1", "served2"}) {
+    std::vector<std::string> more = view;
+    more.insert(more.end(), {"--keys", path("keys"), "--wait-workers", "2", "--cache", "10%"});
+    const auto master = start_master(name, more);
+    ASSERT_EQ(master->wait(), 0) << master->log();
+    const nlohmann::json report = report_of(name);
+    EXPECT_EQ(report["image"]["pixels_sha256"], report_of("whole")["image"]["pixels_sha256"]);
+    EXPECT_GT(report["sources"]["remote_peer_bytes"], 0);
+    EXPECT_EQ(report["sources"]["peer_lies"], 0);
+  }
+  EXPECT_TRUE(first->running()) << first->log();
+  EXPECT_TRUE(second->running()) << second->log();
+}
+
 // What a listener between a worker and its master finds of the store and of our frames.
 struct Overheard {
   std::size_t frames = 0;
