@@ -28,6 +28,7 @@
 #include "master/signals.h"
 #include "master/status_server.h"
 #include "master/tev_display.h"
+#include "master/tile_scheduler.h"
 #include "master/view.h"
 
 namespace preheat {
@@ -56,7 +57,7 @@ struct RenderOptions {
   std::string preload = "transport";
   double preload_share = -1.0;
   std::optional<unsigned> threads{};  // default: 1 per worker, all cores with --local
-  std::uint32_t tile_size = 32;
+  std::uint32_t tile_size = 0;        // 0: by how many threads render
   AccessCounting count_accesses = AccessCounting::kSampled;
   std::uint32_t paths_per_thread = kPathsPerThread;
 };
@@ -76,6 +77,13 @@ const char* name_of(AccessCounting counting) {
 unsigned threads_of(const RenderOptions& options) {
   if (options.threads) { return *options.threads; }
   return options.local ? std::max(1U, std::thread::hardware_concurrency()) : 1U;
+}
+
+std::uint64_t threads_expected(const RenderOptions& options) {
+  if (options.local) { return threads_of(options); }
+  const std::uint64_t workers =
+      options.listen.empty() ? options.workers.value_or(2) : options.wait_workers;
+  return workers * threads_of(options);
 }
 
 // The worker program is installed beside this one.
@@ -257,7 +265,7 @@ Result<MasterResult> render_image(const RenderOptions& options, const Store& sto
   return result;
 }
 
-Result<void> render(const RenderOptions& options) {
+Result<void> render(RenderOptions options) {
   if (auto fine = check_before(options); !fine) { return fine; }
   const auto opened = open_scene(options.scene);
   if (!opened) { return tl::unexpected(opened.error()); }
@@ -267,6 +275,10 @@ Result<void> render(const RenderOptions& options) {
   }
   const auto view = resolve_view(store.tables(), store.cameras(), options.view);
   if (!view) { return tl::unexpected(view.error()); }
+  if (options.tile_size == 0) {
+    const RenderSettings& image = view->settings;
+    options.tile_size = tile_size_for(image.width, image.height, threads_expected(options));
+  }
   const auto prediction = predict_for(options, store, view->settings);
   if (!prediction) { return tl::unexpected(prediction.error()); }
   const auto result = render_image(options, store, view->settings, *prediction);
@@ -427,10 +439,13 @@ void add_render_command(CLI::App& app, Command& chosen) {
       ->check(in_range(-64.0, 64.0))
       ->type_name("EV")
       ->capture_default_str();
-  command->add_option("--tile-size", options->tile_size, "Side of a tile in pixels")
+  command
+      ->add_option(
+          "--tile-size", options->tile_size,
+          "Side of a tile in pixels (default: 32, or 16 or 8 where many threads would have "
+          "few tiles each)")
       ->type_name("N")
-      ->check(in_range(1U, kTileSizeMax))
-      ->capture_default_str();
+      ->check(in_range(1U, kTileSizeMax));
   command
       ->add_option("--paths-in-flight", options->paths_per_thread,
                    "Paths that each tracing thread keeps going, of some 420 bytes each: the more, "

@@ -17,6 +17,11 @@
 
 namespace preheat {
 
+// The side of tiles, in pixels, where so many threads render: 32 unless the last tiles would then
+// be waited for long by those that are done, down to 8.
+[[nodiscard]] std::uint32_t tile_size_for(std::uint32_t width, std::uint32_t height,
+                                          std::uint64_t threads);
+
 class TileScheduler {
  public:
   explicit TileScheduler(const TileGrid& grid);

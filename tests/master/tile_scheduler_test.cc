@@ -36,6 +36,16 @@ TEST(TileScheduler, GoesFromNeighbourToNeighbour) {
   EXPECT_FALSE(scheduler.next(WorkerId{0}, kAny).has_value());
 }
 
+TEST(TileSize, IsSmallerWhereManyThreadsShareTheImage) {
+  EXPECT_EQ(tile_size_for(512, 512, 8), 32U);
+  EXPECT_EQ(tile_size_for(512, 512, 9), 16U);
+  EXPECT_EQ(tile_size_for(3840, 2160, 255), 32U);  // 8,160 tiles of 32
+  EXPECT_EQ(tile_size_for(3840, 2160, 256), 16U);
+  EXPECT_EQ(tile_size_for(3840, 2160, 1'000), 16U);
+  EXPECT_EQ(tile_size_for(3840, 2160, 100'000), 8U);
+  EXPECT_EQ(tile_size_for(1, 1, 1), 8U);
+}
+
 TEST(TileScheduler, KeepsWorkersApart) {
   const TileGrid grid{256, 256, 16};
   TileScheduler scheduler{grid};
