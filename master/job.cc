@@ -418,9 +418,8 @@ void Job::take_tile(Worker& worker, const TileChunk& chunk, const Assembly& asse
   note(R"({{"event":"{}","time":{:.6f},"worker":{},"tile":{},"lease":"{:016x}"}})",
        name_of(verdict.outcome), seconds(now - begin_), index_of(worker.id), index_of(chunk.tile),
        number(chunk.lease));
-  if (verdict.cancelled) {
-    send(*workers_[index_of(verdict.cancelled->first)], ChannelKind::kControl,
-         Cancel{{{verdict.cancelled->second}}});
+  for (const auto& [other, lease] : verdict.cancelled) {
+    send(*workers_[index_of(other)], ChannelKind::kControl, Cancel{{{lease}}});
   }
   send(worker, ChannelKind::kControl, ResultAck{chunk.lease});
   grant_to(worker, ready_count(), now);
@@ -443,11 +442,13 @@ std::size_t Job::leases_wanted(const Worker& worker, std::size_t ready) const {
   return std::max<std::size_t>(least, std::min({deep, fair, std::uint64_t{kLeasesPerWorkerMax}}));
 }
 
+bool Job::may_be_granted(const Worker& worker, Time now) const {
+  return phase_ == Phase::kRendering && worker.presence == Presence::kReady && !worker.stalled &&
+         now - worker.heard_last < options_.timers.suspect;
+}
+
 void Job::grant_to(Worker& worker, std::size_t ready, Time now) {
-  if (phase_ != Phase::kRendering || worker.presence != Presence::kReady || worker.stalled ||
-      now - worker.heard_last >= options_.timers.suspect) {
-    return;
-  }
+  if (!may_be_granted(worker, now)) { return; }
   Grant grant;
   const std::size_t wanted = leases_wanted(worker, ready);
   while (leases_.held_count(worker.id) < wanted) {
@@ -457,6 +458,10 @@ void Job::grant_to(Worker& worker, std::size_t ready, Time now) {
     note(R"({{"event":"lease","time":{:.6f},"worker":{},"tile":{},"lease":"{:016x}"}})",
          seconds(now - begin_), index_of(worker.id), index_of(lease->tile), number(lease->id));
   }
+  send_grant(worker, std::move(grant), now);
+}
+
+void Job::send_grant(const Worker& worker, Grant grant, Time now) {
   if (grant.leases.items.empty()) { return; }
   if (!first_lease_) { first_lease_ = now; }
   history_.begin(now);
@@ -466,6 +471,29 @@ void Job::grant_to(Worker& worker, std::size_t ready, Time now) {
 void Job::grant_to_all(Time now) {
   const std::size_t ready = ready_count();
   for (const auto& worker : workers_) { grant_to(*worker, ready, now); }
+  double_last_tiles(now);
+}
+
+void Job::double_last_tiles(Time now) {
+  const auto is_idle = [&](const Worker& worker) {
+    return may_be_granted(worker, now) && leases_.held_count(worker.id) < worker.threads;
+  };
+  if (std::none_of(workers_.begin(), workers_.end(),
+                   [&](const auto& worker) { return is_idle(*worker); })) {
+    return;
+  }
+  const std::vector<TileId> last = leases_.last_tiles(now);
+  for (const auto& worker : workers_) {
+    Grant grant;
+    for (std::size_t at = 0; at < last.size() && is_idle(*worker); ++at) {
+      const std::optional<Lease> lease = leases_.grant_second(worker->id, last[at], now);
+      if (!lease) { continue; }
+      grant.leases.items.push_back(*lease);
+      note(R"({{"event":"double","time":{:.6f},"worker":{},"tile":{},"lease":"{:016x}"}})",
+           seconds(now - begin_), index_of(worker->id), index_of(lease->tile), number(lease->id));
+    }
+    send_grant(*worker, std::move(grant), now);
+  }
 }
 
 void Job::tick(Time now) {

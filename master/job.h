@@ -163,6 +163,10 @@ class Job {
   void lose(Worker& worker, Loss loss, const char* why, Time now);
   void grant_to(Worker& worker, std::size_t ready, Time now);
   void grant_to_all(Time now);
+  // Who has nothing to do takes a tile of who will be done last.
+  void double_last_tiles(Time now);
+  [[nodiscard]] bool may_be_granted(const Worker& worker, Time now) const;
+  void send_grant(const Worker& worker, Grant grant, Time now);
   void watch_workers(Time now);
   void watch_leases(Time now);
   void watch_phase(Time now);

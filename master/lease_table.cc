@@ -1,6 +1,7 @@
 #include "master/lease_table.h"
 
 #include <algorithm>
+#include <tuple>
 
 #include "common/check.h"
 
@@ -10,7 +11,7 @@ LeaseTable::LeaseTable(const TileGrid& grid, Duration lease_min, std::uint64_t s
     : lease_min_(lease_min), random_(seed), scheduler_(grid), tiles_(grid.count()) {}
 
 void LeaseTable::add_worker(WorkerId worker) {
-  if (!live_by_worker_.try_emplace(worker).second) { return; }
+  if (!holders_.try_emplace(worker).second) { return; }
   for (auto& [tile, deaths] : deaths_) {
     std::erase_if(deaths, [worker](const Death& death) { return death.worker == worker; });
   }
@@ -23,10 +24,10 @@ void LeaseTable::add_worker(WorkerId worker) {
 }
 
 void LeaseTable::remove_worker(WorkerId worker) {
-  const auto entry = live_by_worker_.find(worker);
-  if (entry == live_by_worker_.end()) { return; }
-  const std::unordered_set<LeaseId> leases = std::move(entry->second);
-  live_by_worker_.erase(entry);
+  const auto entry = holders_.find(worker);
+  if (entry == holders_.end()) { return; }
+  const std::unordered_set<LeaseId> leases = std::move(entry->second.live);
+  holders_.erase(entry);
   for (const LeaseId lease : leases) { end_live(lease); }
 }
 
@@ -71,32 +72,81 @@ bool LeaseTable::may_lease(WorkerId worker, TileId tile) const {
   return std::find(parties.begin(), parties.end(), worker) == parties.end();
 }
 
+// A suspect tile is alone with its worker.
+bool LeaseTable::holds_suspect(const Holder& holder) const {
+  return std::any_of(holder.live.begin(), holder.live.end(),
+                     [this](LeaseId lease) { return is_suspect(leases_.at(lease).tile); });
+}
+
 std::optional<Lease> LeaseTable::grant(WorkerId worker, Time now) {
-  const auto entry = live_by_worker_.find(worker);
-  CHECK(entry != live_by_worker_.end());
-  // A suspect tile is alone with its worker.
-  for (const LeaseId held : entry->second) {
-    if (is_suspect(leases_.at(held).tile)) { return std::nullopt; }
-  }
+  const auto entry = holders_.find(worker);
+  CHECK(entry != holders_.end());
+  if (holds_suspect(entry->second)) { return std::nullopt; }
   const std::optional<TileId> tile = scheduler_.next(
       worker, [this, worker](TileId candidate) { return may_lease(worker, candidate); });
   if (!tile) { return std::nullopt; }
+  return add_lease(worker, *tile, now);
+}
+
+Lease LeaseTable::add_lease(WorkerId worker, TileId tile, Time now) {
   LeaseId id{random_()};
   while (leases_.contains(id)) { id = LeaseId{random_()}; }
-  leases_[id] = {*tile, worker, now, now + lease_length(), true};
-  entry->second.insert(id);
-  TileState& state = tiles_[index_of(*tile)];
-  state.live_lease = id;
-  state.has_live = true;
+  leases_[id] = {tile, worker, now, now + lease_length(), stats_.granted, true};
+  Holder& holder = holders_.at(worker);
+  if (!holder.begin) { holder.begin = now; }
+  holder.live.insert(id);
+  tiles_[index_of(tile)].live.push_back(id);
   ++stats_.granted;
-  return Lease{id, *tile};
+  return {id, tile};
+}
+
+bool LeaseTable::is_last(TileId tile) const {
+  const TileState& state = tiles_[index_of(tile)];
+  return state.live.size() == 1 && !state.committed && !state.poisoned && !is_suspect(tile);
+}
+
+std::vector<TileId> LeaseTable::last_tiles(Time now) const {
+  if (scheduler_.pending() > 0) { return {}; }
+  struct Last {
+    Duration left{};
+    std::uint64_t number = 0;
+    TileId tile{};
+  };
+  std::vector<Last> last;
+  for (const auto& [worker, holder] : holders_) {
+    const Duration left = holder.tile_length(now) * static_cast<int>(holder.live.size());
+    for (const LeaseId lease : holder.live) {
+      const Record& record = leases_.at(lease);
+      if (is_last(record.tile)) { last.push_back({left, record.number, record.tile}); }
+    }
+  }
+  // A worker begins with what it was granted first.
+  std::sort(last.begin(), last.end(), [](const Last& a, const Last& b) {
+    return std::tie(b.left, b.number) < std::tie(a.left, a.number);
+  });
+  std::vector<TileId> tiles;
+  tiles.reserve(last.size());
+  for (const Last& each : last) { tiles.push_back(each.tile); }
+  return tiles;
+}
+
+std::optional<Lease> LeaseTable::grant_second(WorkerId worker, TileId tile, Time now) {
+  const auto entry = holders_.find(worker);
+  CHECK(entry != holders_.end());
+  if (!is_last(tile) || holds_suspect(entry->second)) { return std::nullopt; }
+  const Record& first = leases_.at(tiles_[index_of(tile)].live.front());
+  const Holder& other = holders_.at(first.worker);
+  const Duration left = other.tile_length(now) * static_cast<int>(other.live.size());
+  if (first.worker == worker || entry->second.tile_length(now) >= left) { return std::nullopt; }
+  ++stats_.doubled;
+  return add_lease(worker, tile, now);
 }
 
 void LeaseTable::progress(WorkerId worker, Time now) {
-  const auto entry = live_by_worker_.find(worker);
-  if (entry == live_by_worker_.end()) { return; }
+  const auto entry = holders_.find(worker);
+  if (entry == holders_.end()) { return; }
   const Time deadline = now + lease_length();
-  for (const LeaseId lease : entry->second) {
+  for (const LeaseId lease : entry->second.live) {
     Record& record = leases_.at(lease);
     record.deadline = std::max(record.deadline, deadline);
   }
@@ -106,25 +156,26 @@ void LeaseTable::end_live(LeaseId lease) {
   Record& record = leases_.at(lease);
   CHECK(record.live);
   record.live = false;
-  const auto holder = live_by_worker_.find(record.worker);
-  if (holder != live_by_worker_.end()) { holder->second.erase(lease); }
+  const auto holder = holders_.find(record.worker);
+  if (holder != holders_.end()) { holder->second.live.erase(lease); }
   TileState& tile = tiles_[index_of(record.tile)];
-  tile.has_live = false;
+  std::erase(tile.live, lease);
   const bool settled = tile.poisoned || (tile.committed && !disputes_.contains(record.tile));
-  if (!settled) { scheduler_.give_back(record.tile); }
+  if (!settled && tile.live.empty()) { scheduler_.give_back(record.tile); }
 }
 
 std::vector<std::pair<WorkerId, Lease>> LeaseTable::expire(Time now) {
   std::vector<std::pair<WorkerId, Lease>> expired;
-  for (const auto& [worker, leases] : live_by_worker_) {
-    for (const LeaseId lease : leases) {
+  for (const auto& [worker, holder] : holders_) {
+    for (const LeaseId lease : holder.live) {
       const Record& record = leases_.at(lease);
       if (record.deadline <= now) { expired.emplace_back(worker, Lease{lease, record.tile}); }
     }
   }
   // Hash maps have no order that two runs share; ledgers and tests want one.
-  std::sort(expired.begin(), expired.end(),
-            [](const auto& a, const auto& b) { return a.second.tile < b.second.tile; });
+  std::sort(expired.begin(), expired.end(), [](const auto& a, const auto& b) {
+    return std::tie(a.second.tile, a.first) < std::tie(b.second.tile, b.first);
+  });
   for (const auto& [worker, lease] : expired) {
     end_live(lease.id);
     ++stats_.expired;
@@ -143,8 +194,10 @@ LeaseVerdict LeaseTable::result(WorkerId worker, LeaseId lease, const Hash128& h
   TileState& tile = tiles_[index_of(record.tile)];
   if (record.live) {
     keep_duration(now - record.granted);
-    live_by_worker_.at(worker).erase(lease);
-    tile.has_live = false;
+    Holder& holder = holders_.at(worker);
+    holder.live.erase(lease);
+    ++holder.results;
+    std::erase(tile.live, lease);
   }
   leases_.erase(entry);
 
@@ -153,12 +206,11 @@ LeaseVerdict LeaseTable::result(WorkerId worker, LeaseId lease, const Hash128& h
   const bool disputed = disputes_.contains(record.tile);
   if (!disputed) {
     scheduler_.remove(record.tile);
-    if (tile.has_live) {
-      const LeaseId other = tile.live_lease;
-      verdict.cancelled = {leases_.at(other).worker, Lease{other, record.tile}};
+    for (const LeaseId other : std::vector(tile.live)) {
+      verdict.cancelled.emplace_back(leases_.at(other).worker, Lease{other, record.tile});
       end_live(other);
     }
-  } else if (!tile.has_live) {
+  } else if (tile.live.empty()) {
     scheduler_.remove(record.tile);
     scheduler_.give_back(record.tile);
   }
@@ -215,17 +267,19 @@ std::optional<TileId> LeaseTable::tile_of(WorkerId worker, LeaseId lease) const 
 
 std::vector<Lease> LeaseTable::held_by(WorkerId worker) const {
   std::vector<Lease> held;
-  const auto entry = live_by_worker_.find(worker);
-  if (entry == live_by_worker_.end()) { return held; }
-  for (const LeaseId lease : entry->second) { held.push_back({lease, leases_.at(lease).tile}); }
+  const auto entry = holders_.find(worker);
+  if (entry == holders_.end()) { return held; }
+  for (const LeaseId lease : entry->second.live) {
+    held.push_back({lease, leases_.at(lease).tile});
+  }
   std::sort(held.begin(), held.end(),
             [](const Lease& a, const Lease& b) { return a.tile < b.tile; });
   return held;
 }
 
 std::size_t LeaseTable::held_count(WorkerId worker) const {
-  const auto entry = live_by_worker_.find(worker);
-  return entry == live_by_worker_.end() ? 0 : entry->second.size();
+  const auto entry = holders_.find(worker);
+  return entry == holders_.end() ? 0 : entry->second.live.size();
 }
 
 std::optional<Time> LeaseTable::granted_at(LeaseId lease) const {
@@ -237,8 +291,8 @@ std::optional<Time> LeaseTable::granted_at(LeaseId lease) const {
 bool LeaseTable::finished() const {
   if (tiles_committed_ + poisoned_.size() < tiles_.size()) { return false; }
   for (const auto& [tile, dispute] : disputes_) {
-    if (tiles_[index_of(tile)].has_live) { return false; }
-    for (const auto& [worker, leases] : live_by_worker_) {
+    if (!tiles_[index_of(tile)].live.empty()) { return false; }
+    for (const auto& [worker, holder] : holders_) {
       if (worker != dispute.workers[0] && worker != dispute.workers[1]) { return false; }
     }
   }

@@ -3,8 +3,9 @@
 //
 // A lease is granted to one worker until a deadline that its progress moves on. A lease that ends
 // without a result gives its tile back, but is remembered: its result may still come, is the first
-// one and commits, or is compared with the committed one and dropped. Two different results for one
-// tile make the tile disputed: a third worker renders it again and the majority stays.
+// one and commits, or is compared with the committed one and dropped. Once no tile is pending, the
+// last ones may be leased to a second worker that has nothing else to do. Two different results for
+// one tile make the tile disputed: a third worker renders it again and the majority stays.
 //
 // Many tiles are with a worker when it dies, whatever it died of. A tile with two deaths is leased
 // to a worker that has no other, and one that two workers died on alone is poisoned and given up.
@@ -12,6 +13,7 @@
 // Pure: time is an argument, lease ids come from a seeded generator.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstdint>
 #include <optional>
@@ -38,8 +40,8 @@ enum class ResultOutcome : std::uint8_t {
 
 struct LeaseVerdict {
   ResultOutcome outcome = ResultOutcome::kUnknown;
-  // Another lease of the same tile that is pointless now, and whose it is.
-  std::optional<std::pair<WorkerId, Lease>> cancelled{};
+  // Other leases of the same tile that are pointless now, and whose they are.
+  std::vector<std::pair<WorkerId, Lease>> cancelled{};
 };
 
 class LeaseTable {
@@ -56,6 +58,12 @@ class LeaseTable {
 
   // Leases one more tile to the worker; nothing if none is pending for it. Requires: add_worker.
   [[nodiscard]] std::optional<Lease> grant(WorkerId worker, Time now);
+
+  // Once no tile is pending: those that only one worker has, the one that is expected last first.
+  [[nodiscard]] std::vector<TileId> last_tiles(Time now) const;
+  // Leases such a tile to one more worker, whoever is first; nothing if it is not expected to be,
+  // or may not have it.
+  [[nodiscard]] std::optional<Lease> grant_second(WorkerId worker, TileId tile, Time now);
 
   // The worker's renderer moved on: its deadlines do too.
   void progress(WorkerId worker, Time now);
@@ -99,15 +107,24 @@ class LeaseTable {
     WorkerId worker{};
     Time granted{};
     Time deadline{};
-    bool live = true;  // false: its tile was given back, its result may still come
+    std::uint64_t number = 0;  // in the order of grants
+    bool live = true;          // false: its tile was given back, its result may still come
   };
   struct TileState {
     bool committed = false;
     bool poisoned = false;
-    WorkerId worker{};     // of the committed result
-    Hash128 hash{};        // of the committed result
-    LeaseId live_lease{};  // meaningful while has_live
-    bool has_live = false;
+    WorkerId worker{};            // of the committed result
+    Hash128 hash{};               // of the committed result
+    std::vector<LeaseId> live{};  // at most 2
+  };
+  struct Holder {
+    std::optional<Time> begin{};  // of its first lease since it is here
+    std::uint32_t results = 0;
+    std::unordered_set<LeaseId> live{};
+    // From one result to the next.
+    [[nodiscard]] Duration tile_length(Time now) const {
+      return begin ? (now - *begin) / std::max(1U, results) : Duration{};
+    }
   };
   struct Death {
     WorkerId worker{};
@@ -119,7 +136,10 @@ class LeaseTable {
   };
 
   void end_live(LeaseId lease);  // Requires: live. Its tile is pending again unless settled.
+  Lease add_lease(WorkerId worker, TileId tile, Time now);
   [[nodiscard]] bool may_lease(WorkerId worker, TileId tile) const;
+  [[nodiscard]] bool holds_suspect(const Holder& holder) const;
+  [[nodiscard]] bool is_last(TileId tile) const;
   [[nodiscard]] bool is_suspect(TileId tile) const;
   [[nodiscard]] bool is_deadly(TileId tile) const;
   void keep_duration(Duration duration);
@@ -130,7 +150,7 @@ class LeaseTable {
   TileScheduler scheduler_;
   std::vector<TileState> tiles_;  // [tile_count]
   std::unordered_map<LeaseId, Record> leases_;
-  std::unordered_map<WorkerId, std::unordered_set<LeaseId>> live_by_worker_;
+  std::unordered_map<WorkerId, Holder> holders_;
   std::unordered_map<TileId, std::vector<Death>> deaths_;  // of different workers
   std::unordered_map<TileId, Dispute> disputes_;
   std::vector<TileId> poisoned_;

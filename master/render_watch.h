@@ -15,6 +15,7 @@ namespace preheat {
 
 struct LeaseStats {
   std::uint64_t granted = 0;
+  std::uint64_t doubled = 0;  // of these: tiles that another worker had as well
   std::uint64_t expired = 0;
   std::uint64_t duplicates = 0;
   std::uint64_t mismatches = 0;

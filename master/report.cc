@@ -204,6 +204,7 @@ nlohmann::ordered_json make_report(const RenderRecord& record) {
   report["sources"]["origin_remote_bytes"] = result.origin.remote_bytes;
   report["workers"] = workers_json(result.workers);
   report["leases"] = {{"granted", result.leases.granted},
+                      {"doubled", result.leases.doubled},
                       {"expired", result.leases.expired},
                       {"duplicates", result.leases.duplicates},
                       {"mismatches", result.leases.mismatches}};

@@ -174,6 +174,8 @@ std::string job_metrics(const StatusFacts& facts, const RenderSnapshot& snapshot
          snapshot.workers_lost);
   single("preheat_leases_granted_total", "counter", "Tiles handed out, again ones too.",
          real(snapshot.leases.granted));
+  single("preheat_leases_doubled_total", "counter", "Last tiles handed to a second worker.",
+         real(snapshot.leases.doubled));
   single("preheat_leases_expired_total", "counter", "Tiles taken back.",
          real(snapshot.leases.expired));
   single("preheat_results_duplicate_total", "counter", "Results equal to one that was there.",
@@ -208,6 +210,7 @@ Json make_status_json(const StatusFacts& facts, const RenderSnapshot& snapshot,
         {"lost", snapshot.workers_lost}}},
       {"leases",
        {{"granted", snapshot.leases.granted},
+        {"doubled", snapshot.leases.doubled},
         {"expired", snapshot.leases.expired},
         {"duplicates", snapshot.leases.duplicates},
         {"mismatches", snapshot.leases.mismatches}}},

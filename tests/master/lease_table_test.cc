@@ -82,9 +82,8 @@ TEST(LeaseTable, ALateResultThatIsStillTheFirstCommitsAndFreesTheOther) {
   const LeaseVerdict verdict = table.result(kAnn, late.id, kRight, kStart);
 
   EXPECT_EQ(verdict.outcome, ResultOutcome::kCommitted);
-  ASSERT_TRUE(verdict.cancelled.has_value());
-  EXPECT_EQ(verdict.cancelled->first, kBob);
-  EXPECT_EQ(verdict.cancelled->second, again);
+  ASSERT_EQ(verdict.cancelled.size(), 1U);
+  EXPECT_EQ(verdict.cancelled[0], std::pair(kBob, again));
   EXPECT_EQ(table.held_count(kBob), 0U);
   EXPECT_EQ(table.result(kBob, again.id, kRight, kStart).outcome, ResultOutcome::kDuplicate);
 }
@@ -208,6 +207,76 @@ TEST(LeaseTable, DeadlinesFollowSlowTiles) {
   EXPECT_EQ(table.lease_length(), Duration(seconds(36)));
 }
 
+// Ann holds both tiles and has done none for 20 seconds, Bob holds none.
+struct LastTiles {
+  LeaseTable table = small_table();
+  std::vector<Lease> of_ann{};
+  Time now = kStart + seconds(20);
+
+  LastTiles() {
+    for (int i = 0; i < 2; ++i) { of_ann.push_back(table.grant(kAnn, kStart).value()); }
+  }
+};
+
+TEST(LeaseTable, NoTileIsTheLastWhileOneIsPending) {
+  LeaseTable table = small_table();
+  const Lease first = table.grant(kAnn, kStart).value();
+  EXPECT_TRUE(table.last_tiles(kStart + seconds(20)).empty());
+  static_cast<void>(table.grant(kAnn, kStart));
+  EXPECT_EQ(table.last_tiles(kStart + seconds(20)).size(), 2U);
+  EXPECT_EQ(table.result(kAnn, first.id, kRight, kStart).outcome, ResultOutcome::kCommitted);
+  EXPECT_EQ(table.last_tiles(kStart + seconds(20)).size(), 1U);
+}
+
+TEST(LeaseTable, TheFirstOfTwoWithTheSameTileCommitsAndFreesTheOther) {
+  LastTiles last;
+  const Lease second = last.table.grant_second(kBob, last.of_ann[0].tile, last.now).value();
+  EXPECT_EQ(second.tile, last.of_ann[0].tile);
+  EXPECT_EQ(last.table.stats().doubled, 1U);
+
+  const LeaseVerdict verdict = last.table.result(kBob, second.id, kRight, last.now);
+  EXPECT_EQ(verdict.outcome, ResultOutcome::kCommitted);
+  ASSERT_EQ(verdict.cancelled.size(), 1U);
+  EXPECT_EQ(verdict.cancelled[0], std::pair(kAnn, last.of_ann[0]));
+  EXPECT_EQ(last.table.result(kAnn, last.of_ann[0].id, kRight, last.now).outcome,
+            ResultOutcome::kDuplicate);
+  EXPECT_EQ(last.table.tiles_committed(), 1U);
+}
+
+TEST(LeaseTable, ATileHasAtMostTwoWorkersAndTheyDiffer) {
+  LastTiles last;
+  const TileId tile = last.of_ann[0].tile;
+  EXPECT_EQ(last.table.grant_second(kAnn, tile, last.now), std::nullopt);
+  EXPECT_NE(last.table.grant_second(kBob, tile, last.now), std::nullopt);
+  EXPECT_EQ(last.table.grant_second(kCyd, tile, last.now), std::nullopt);
+  EXPECT_EQ(last.table.last_tiles(last.now), std::vector<TileId>{last.of_ann[1].tile});
+}
+
+TEST(LeaseTable, ATileOfTwoWorkersIsPendingOnlyWhenBothAreGone) {
+  LastTiles last;
+  const TileId tile = last.of_ann[0].tile;
+  static_cast<void>(last.table.grant_second(kBob, tile, last.now));
+  last.table.remove_worker(kBob);
+  EXPECT_EQ(last.table.grant(kCyd, last.now), std::nullopt);
+  last.table.remove_worker(kAnn);
+  EXPECT_NE(last.table.grant(kCyd, last.now), std::nullopt);
+  EXPECT_NE(last.table.grant(kCyd, last.now), std::nullopt);
+}
+
+TEST(LeaseTable, WhoWouldBeDoneLaterIsGivenNoSecondLease) {
+  LeaseTable table{TileGrid{96, 32, 32}, seconds(10), /*seed=*/1};
+  for (const WorkerId worker : {kAnn, kBob}) { table.add_worker(worker); }
+  // Bob needs ten seconds for a tile, Ann one.
+  const Lease slow = table.grant(kBob, kStart).value();
+  const Lease quick = table.grant(kAnn, kStart).value();
+  const Lease left = table.grant(kAnn, kStart).value();
+  EXPECT_EQ(table.result(kAnn, quick.id, kRight, kStart + seconds(1)).outcome,
+            ResultOutcome::kCommitted);
+  EXPECT_EQ(table.result(kBob, slow.id, kRight, kStart + seconds(10)).outcome,
+            ResultOutcome::kCommitted);
+  EXPECT_EQ(table.grant_second(kBob, left.tile, kStart + seconds(2)), std::nullopt);
+}
+
 // A million random events: workers come, die, leave, stall, answer late, twice, wrongly addressed.
 // In the end every tile was committed exactly once and no lease is with a worker that is not there.
 class LeaseTableRandom : public ::testing::TestWithParam<std::uint64_t> {};
@@ -254,7 +323,14 @@ TEST_P(LeaseTableRandom, CommitsEveryTileOnceWhateverHappens) {
     } else if (dice < 500) {
       const WorkerId worker = any_worker();
       if (table.held_count(worker) < 3) {
-        if (const auto lease = table.grant(worker, now)) { issued.emplace_back(worker, *lease); }
+        auto lease = table.grant(worker, now);
+        if (!lease && random() % 2 == 0) {
+          const std::vector<TileId> last = table.last_tiles(now);
+          if (!last.empty()) {
+            lease = table.grant_second(worker, last[random() % last.size()], now);
+          }
+        }
+        if (lease) { issued.emplace_back(worker, *lease); }
       }
     } else if (dice < 700) {
       table.progress(any_worker(), now);

@@ -29,7 +29,7 @@ class Report : public ::testing::Test {
     prediction_.model = "transport";
     prediction_.camera_total = 100.0;
     result_.workers = {worker(1), worker(2)};
-    result_.leases = {5, 6, 7, 8};
+    result_.leases = {5, 1, 6, 7, 8};
     record_ = RenderRecord{&opened_->store, &view_, &prediction_, &result_};
     record_.seconds = {1.0, 2.0, 4.0, 8.0};
     record_.pixels_sha256 = "abc";
@@ -81,6 +81,7 @@ TEST_F(Report, HasEveryDocumentedKey) {
                               "/preload/seconds",
                               "/leases/granted",
                               "/leases/expired",
+                              "/leases/doubled",
                               "/leases/duplicates",
                               "/leases/mismatches",
                               "/rays/camera",

@@ -26,7 +26,7 @@ RenderSnapshot snapshot_of(std::size_t workers) {
   snapshot.tiles_done = 3;
   snapshot.tiles_total = 8;
   snapshot.workers_lost = 1;
-  snapshot.leases = {11, 2, 1, 0};
+  snapshot.leases = {11, 3, 2, 1, 0};
   snapshot.rendering_seconds = 2.5;
   for (std::size_t id = 0; id < workers; ++id) {
     WorkerSnapshot worker;
