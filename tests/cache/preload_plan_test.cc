@@ -127,6 +127,71 @@ TEST(PreloadPlan, WarmsWhatTheRestHasRoomForByRaysPerByte) {
   EXPECT_THAT(plan(hot_bytes + 4 * cold_bytes, 0.5).warm, IsEmpty());
 }
 
+// Eight voxels of one size below two octree nodes of four; the second node's have twice the extent.
+struct EightVoxels {
+  SceneTables tables;
+  Prediction prediction;
+
+  explicit EightVoxels(const std::vector<double>& rays) {
+    constexpr std::uint32_t kTriangles = 1000;
+    for (std::uint32_t voxel = 0; voxel < 8; ++voxel) {
+      const float extent = voxel < 4 ? 1.0F : 2.0F;
+      VoxelEntry entry;
+      entry.bounds = {{0.0F, 0.0F, 0.0F}, {extent, extent, extent}};
+      entry.triangle_count = kTriangles;
+      entry.block_bytes = 40 * kTriangles;
+      entry.resident_bytes = 140 * kTriangles;
+      tables.voxels.push_back(entry);
+    }
+    tables.voxel_nodes.push_back({{}, 1, 2});
+    tables.voxel_nodes.push_back({{}, 3, 4});
+    tables.voxel_nodes.push_back({{}, 7, 4});
+    for (std::uint32_t voxel = 0; voxel < 8; ++voxel) {
+      tables.voxel_nodes.push_back({{}, voxel, 0});
+    }
+    prediction.rays_camera = rays;
+    prediction.rays_scatter.resize(8, 0.0);
+    prediction.rays_shadow.resize(8, 0.0);
+    prediction.rays_error.resize(8, 1.0);
+  }
+
+  [[nodiscard]] std::uint64_t cold_bytes() const {
+    return tables.voxels[0].block_bytes + VoxelMesh::bytes_max(tables.voxels[0].triangle_count);
+  }
+  [[nodiscard]] std::vector<VoxelId> warm(std::uint64_t limit) const {
+    return plan_preload(tables, prediction, limit, kAuto).warm;
+  }
+};
+
+TEST(PreloadPlan, WarmsWhatNoSampleMetIfItsNeighboursWereMetOften) {
+  // The second node's share for each of its voxels is 40 / 4 = 10 rays: too few.
+  const EightVoxels scene({300.0, 0.0, 100.0, 0.0, 40.0, 0.0, 0.0, 0.0});
+  // What samples met comes first, as far as it is not hot.
+  EXPECT_THAT(scene.warm(2 * scene.cold_bytes()), ElementsAre(VoxelId{0}, VoxelId{2}));
+  EXPECT_THAT(scene.warm(4 * scene.cold_bytes()),
+              ElementsAre(VoxelId{0}, VoxelId{2}, VoxelId{4}, VoxelId{1}));
+  EXPECT_THAT(scene.warm(8 * scene.cold_bytes()), ElementsAre(VoxelId{4}, VoxelId{1}, VoxelId{3}));
+}
+
+TEST(PreloadPlan, SharesTheRaysOfTheNodeAboveBySurface) {
+  // Of the root's rays each voxel of the second node has 4 of 20 parts, of its own those of the
+  // first have a quarter.
+  const auto warm = [](double rays) {
+    const EightVoxels scene({rays, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0});
+    return scene.warm(16 * scene.cold_bytes());
+  };
+  EXPECT_THAT(warm(47.0), IsEmpty());
+  EXPECT_THAT(warm(59.0), ElementsAre(VoxelId{1}, VoxelId{2}, VoxelId{3}));
+  EXPECT_THAT(warm(60.0), ElementsAre(VoxelId{1}, VoxelId{2}, VoxelId{3}, VoxelId{4}, VoxelId{5},
+                                      VoxelId{6}, VoxelId{7}));
+}
+
+TEST(PreloadPlan, TakesAModelThatDoesNotSampleAtItsWord) {
+  EightVoxels scene({400.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0});
+  scene.prediction.rays_error.clear();
+  EXPECT_THAT(scene.warm(2 * scene.cold_bytes()), ElementsAre(VoxelId{0}));
+}
+
 TEST(PreloadPlan, LeavesRoomForTheLargestVoxelThatIsNotHot) {
   const std::vector<Voxel> voxels{{50.0, 50}, {9.0, 10}, {8.0, 10}, {1.0, 20}};
 
