@@ -102,6 +102,19 @@ void HistoryRecorder::merge_runs() {
   }
 }
 
+std::vector<double> interval_ends(const RenderHistory& history, std::size_t intervals_max) {
+  std::size_t told = 0;
+  for (const WorkerHistory& worker : history.workers) {
+    told = std::max(told, worker.points.size());
+  }
+  const std::size_t count = std::clamp<std::size_t>(told, 1, intervals_max);
+  std::vector<double> ends;
+  for (std::size_t i = 1; i <= count; ++i) {
+    ends.push_back(history.seconds * static_cast<double>(i) / static_cast<double>(count));
+  }
+  return ends;
+}
+
 RenderHistory HistoryRecorder::take(Time end) {
   RenderHistory history;
   if (!begin_) { return history; }

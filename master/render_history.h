@@ -7,6 +7,7 @@
 // before is kept only as the state that a worker begins with.
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <optional>
@@ -51,6 +52,29 @@ struct RenderHistory {
   double seconds = 0.0;                  // from the first lease to the end
   std::vector<WorkerHistory> workers{};  // by WorkerId; without points if it never was ready
 };
+
+// A worker's count at a moment, between those it told of.
+template <class Number>
+[[nodiscard]] double count_at(const WorkerHistory& worker, Number HistoryPoint::*count,
+                              double seconds) {
+  const std::vector<HistoryPoint>& points = worker.points;
+  const auto next = std::upper_bound(
+      points.begin(), points.end(), seconds,
+      [](double value, const HistoryPoint& point) { return value < point.seconds; });
+  if (next == points.end()) {
+    return points.empty() ? 0.0 : static_cast<double>(points.back().*count);
+  }
+  const double from_seconds = next == points.begin() ? worker.begin_seconds : (next - 1)->seconds;
+  const double from = next == points.begin() ? 0.0 : static_cast<double>((*(next - 1)).*count);
+  const double length = next->seconds - from_seconds;
+  const double share = length > 0.0 ? std::clamp((seconds - from_seconds) / length, 0.0, 1.0) : 1.0;
+  return from + share * (static_cast<double>((*next).*count) - from);
+}
+
+// The ends of intervals of equal length from the first lease on: as many as the worker that told
+// most often has points, at most `intervals_max` and at least one.
+[[nodiscard]] std::vector<double> interval_ends(const RenderHistory& history,
+                                                std::size_t intervals_max);
 
 class HistoryRecorder {
  public:

@@ -269,25 +269,6 @@ class Page {
     return html + "</div>\n";
   }
 
-  // A worker's count at a moment, between those it told of.
-  template <class Number>
-  [[nodiscard]] static double at(const WorkerHistory& worker, Number HistoryPoint::*count,
-                                 double seconds) {
-    const std::vector<HistoryPoint>& points = worker.points;
-    const auto next = std::upper_bound(
-        points.begin(), points.end(), seconds,
-        [](double value, const HistoryPoint& point) { return value < point.seconds; });
-    if (next == points.end()) {
-      return points.empty() ? 0.0 : static_cast<double>(points.back().*count);
-    }
-    const double from_seconds = next == points.begin() ? worker.begin_seconds : (next - 1)->seconds;
-    const double from = next == points.begin() ? 0.0 : static_cast<double>((*(next - 1)).*count);
-    const double length = next->seconds - from_seconds;
-    const double share =
-        length > 0.0 ? std::clamp((seconds - from_seconds) / length, 0.0, 1.0) : 1.0;
-    return from + share * (static_cast<double>((*next).*count) - from);
-  }
-
   // What is drawn and tabled as one line: a worker, or all of them.
   struct Group {
     std::string name;
@@ -295,7 +276,7 @@ class Page {
     template <class Number>
     [[nodiscard]] double count(Number HistoryPoint::*which, double seconds) const {
       double sum = 0.0;
-      for (const WorkerHistory* worker : members) { sum += at(*worker, which, seconds); }
+      for (const WorkerHistory* worker : members) { sum += count_at(*worker, which, seconds); }
       return sum;
     }
   };
@@ -311,19 +292,6 @@ class Page {
     }
     if (groups.size() != 1) { groups.push_back(std::move(all)); }
     return groups;
-  }
-
-  [[nodiscard]] std::vector<double> interval_ends() const {
-    std::size_t told = 0;
-    for (const WorkerHistory& worker : history_.workers) {
-      told = std::max(told, worker.points.size());
-    }
-    const std::size_t count = std::clamp<std::size_t>(told, 1, kIntervalsMax);
-    std::vector<double> ends;
-    for (std::size_t i = 1; i <= count; ++i) {
-      ends.push_back(history_.seconds * static_cast<double>(i) / static_cast<double>(count));
-    }
-    return ends;
   }
 
   // Nothing where no ray entered a voxel, or none was counted.
@@ -357,7 +325,9 @@ class Page {
     TableRow heading{"until"};
     double least = 1.0;
     std::vector<TableRow> rows;
-    for (const double end : interval_ends()) { rows.push_back({fmt::format("{:.2f} s", end)}); }
+    for (const double end : interval_ends(history_, kIntervalsMax)) {
+      rows.push_back({fmt::format("{:.2f} s", end)});
+    }
     for (std::size_t line = 0; line < lines.size(); ++line) {
       const auto look = static_cast<unsigned>(line);
       ChartSeries rate{lines[line].name, look, ChartSeries::Style::kLine, {}};
@@ -366,7 +336,7 @@ class Page {
       heading.push_back("fetched");
       double begin = 0.0;
       std::size_t row = 0;
-      for (const double end : interval_ends()) {
+      for (const double end : interval_ends(history_, kIntervalsMax)) {
         const std::optional<double> share = hit_rate(lines[line], begin, end);
         const double so_far = lines[line].count(&HistoryPoint::remote_bytes, end);
         if (share) {

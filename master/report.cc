@@ -130,6 +130,31 @@ Json workers_json(const std::vector<WorkerStats>& workers) {
   return json;
 }
 
+// What all workers had counted at the end of each of at most so many intervals.
+constexpr std::size_t kIntervalsMax = 100;
+
+Json history_json(const RenderHistory& history) {
+  Json json = Json::array();
+  if (history.workers.empty()) { return json; }
+  for (const double seconds : interval_ends(history, kIntervalsMax)) {
+    const auto sum = [&](auto HistoryPoint::*count) {
+      double all = 0.0;
+      for (const WorkerHistory& worker : history.workers) {
+        all += count_at(worker, count, seconds);
+      }
+      return all;
+    };
+    json.push_back({{"seconds", seconds},
+                    {"rays", sum(&HistoryPoint::rays)},
+                    {"accesses", sum(&HistoryPoint::accesses)},
+                    {"misses", sum(&HistoryPoint::misses)},
+                    {"remote_fetches", sum(&HistoryPoint::remote_fetches)},
+                    {"remote_bytes", sum(&HistoryPoint::remote_bytes)},
+                    {"stall_seconds", sum(&HistoryPoint::stall_seconds)}});
+  }
+  return json;
+}
+
 // The share of the bytes that capture is compared at.
 constexpr double kCaptureShare = 0.25;
 
@@ -203,6 +228,7 @@ nlohmann::ordered_json make_report(const RenderRecord& record) {
   report["sources"]["origin_preload_bytes"] = result.origin.preload_bytes;
   report["sources"]["origin_remote_bytes"] = result.origin.remote_bytes;
   report["workers"] = workers_json(result.workers);
+  report["history"] = history_json(result.history);
   report["leases"] = {{"granted", result.leases.granted},
                       {"doubled", result.leases.doubled},
                       {"expired", result.leases.expired},

@@ -27,9 +27,9 @@ using Measure = BenchRows (*)(const BenchSettings&);
 
 const std::vector<std::pair<std::string, Measure>>& sections() {
   static const std::vector<std::pair<std::string, Measure>> all{
-      {"a", &measure_tracing},    {"b", &measure_distribution},  {"c", &measure_cache_curve},
-      {"d", &measure_wire_bytes}, {"f", &measure_limited_links}, {"h", &measure_error},
-      {"i", &measure_scaling}};
+      {"a", &measure_tracing},    {"b", &measure_distribution},   {"c", &measure_cache_curve},
+      {"d", &measure_wire_bytes}, {"e", &measure_hits_over_time}, {"f", &measure_limited_links},
+      {"h", &measure_error},      {"i", &measure_scaling}};
   return all;
 }
 
@@ -94,7 +94,8 @@ int main_of(int argument_count, char** arguments) {
   CLI::App app(
       "Measures whole renders: a master, its workers, their caches.\n"
       "(a) tracing beside Embree alone  (b) two workers beside --local  (c) the size of the "
-      "cache  (d) bytes over the network  (f) links held to a rate  (h) error against time  "
+      "cache  (d) bytes over the network  (e) hit rate over time  (f) links held to a rate  (h) "
+      "error against time  "
       "(i) many triangles");
   BenchSettings settings;
   settings.folder = fs::read_symlink("/proc/self/exe").parent_path().string();
@@ -120,7 +121,7 @@ int main_of(int argument_count, char** arguments) {
   for (const std::string& letter : chosen) {
     const auto is_it = [&](const auto& section) { return section.first == letter; };
     if (std::none_of(sections().begin(), sections().end(), is_it)) {
-      spdlog::error("no section '{}': there are a, b, c, d, f, h and i", letter);
+      spdlog::error("no section '{}': there are a, b, c, d, e, f, h and i", letter);
       return 2;
     }
   }

@@ -47,6 +47,7 @@ struct Curve {
   std::string y_label{};
   std::string series{};  // one line for each value of this key
   bool is_y_logarithmic = true;
+  bool is_x_logarithmic = true;
 };
 
 // A chart for each view and number of samples, or for each view where the samples are on an axis.
@@ -64,7 +65,7 @@ std::string curves(const ordered_json& rows, const Curve& curve) {
     Chart chart;
     chart.title = curve.title + ": " + title;
     chart.description = "The numbers are in the table below.";
-    chart.x = {curve.x_label, true};
+    chart.x = {curve.x_label, curve.is_x_logarithmic};
     chart.y = {curve.y_label, curve.is_y_logarithmic};
     for (auto& [name, points] : lines) {
       chart.series.push_back({name, static_cast<unsigned>(chart.series.size()) % kChartLooks,
@@ -105,6 +106,9 @@ std::string make_bench_page(const ordered_json& measured) {
             "preload", false}});
   section("d", "Bytes over the network",
           {{"Bytes a path", "spp", "bytes_per_path", "samples per pixel", "bytes a path", ""}});
+  section("e", "Hit rate over time",
+          {{"Hit rate in each interval", "seconds", "hit_rate", "seconds, preload included",
+            "hits / accesses", "preload", false, false}});
   section("f", "Links held to a rate", {});
   section("h", "Error against time",
           {{"Error", "seconds", "rmse", "seconds", "root mean square error", "way"}});

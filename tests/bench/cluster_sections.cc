@@ -257,6 +257,44 @@ BenchRows measure_wire_bytes(const BenchSettings& settings) {
   return rows;
 }
 
+BenchRows measure_hits_over_time(const BenchSettings& settings) {
+  ordered_json rows = ordered_json::array();
+  for (const BenchView& view : settings.views) {
+    for (const char* const preload : {"none", "transport"}) {
+      const Result<Render> spread =
+          render(settings, view_arguments(settings, view, settings.spp.back()) + kTwoWorkers +
+                               Arguments{"--preload", preload});
+      if (!spread) { return tl::unexpected(spread.error()); }
+      double accesses = 0.0;
+      double misses = 0.0;
+      double worst = 1.0;
+      for (const ordered_json& point : spread->report["history"]) {
+        const double entered = point["accesses"].get<double>() - accesses;
+        const double missed = point["misses"].get<double>() - misses;
+        accesses += entered;
+        misses += missed;
+        if (!(entered > 0.0)) { continue; }
+        const double hit_rate = std::clamp(1.0 - missed / entered, 0.0, 1.0);
+        worst = std::min(worst, hit_rate);
+        ordered_json row = row_of(view, settings.spp.back());
+        row["preload"] = preload;
+        // Who preloads begins later.
+        row["seconds"] =
+            spread->phase("predict") + spread->phase("preload") + point["seconds"].get<double>();
+        row["hit_rate"] = hit_rate;
+        row["remote_fetches"] = point["remote_fetches"];
+        row["remote_bytes"] = point["remote_bytes"];
+        rows.push_back(std::move(row));
+      }
+      spdlog::info(
+          "(e) {}, {}: least hit rate of an interval {:.4f}, of the whole {:.5f}, {:.2f} s",
+          view.name, preload, worst, accesses > 0.0 ? 1.0 - misses / accesses : 1.0,
+          spread->total_seconds());
+    }
+  }
+  return rows;
+}
+
 BenchRows measure_limited_links(const BenchSettings& settings) {
   ordered_json rows = ordered_json::array();
   const fs::path script = fs::path(PREHEAT_BENCH_DIR) / "limited_link.sh";

@@ -46,6 +46,9 @@ using BenchRows = Result<nlohmann::ordered_json>;
 // (d) Bytes over the network for each path, at 1 to 64 samples and a 25 % cache.
 [[nodiscard]] BenchRows measure_wire_bytes(const BenchSettings& settings);
 
+// (e) Hit rate over time, from a cold start and with a preload, at a 25 % cache.
+[[nodiscard]] BenchRows measure_hits_over_time(const BenchSettings& settings);
+
 // (f) Renders over links held to a rate, in network namespaces; skipped, with the reason, where
 // they cannot be made.
 [[nodiscard]] BenchRows measure_limited_links(const BenchSettings& settings);

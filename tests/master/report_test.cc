@@ -121,6 +121,28 @@ TEST_F(Report, SumsWorkersButTakesTheLargestOfLimitsAndPeaks) {
   EXPECT_EQ(report["settings"]["cache"], "25%");
 }
 
+TEST_F(Report, TellsWhatWorkersHadCountedWhen) {
+  EXPECT_EQ(make_report(record_)["history"].size(), 0U);
+  result_.history.seconds = 4.0;
+  WorkerHistory& first = result_.history.workers.emplace_back();
+  first.points = {{.seconds = 1.0, .accesses = 10, .misses = 4},
+                  {.seconds = 4.0, .accesses = 40, .misses = 7}};
+  WorkerHistory& late = result_.history.workers.emplace_back();
+  late.begin_seconds = 2.0;
+  late.points = {{.seconds = 4.0, .accesses = 8, .remote_bytes = 100}};
+
+  const nlohmann::json history = make_report(record_)["history"];
+
+  // As many intervals as the first worker told of; between two points counts grow evenly.
+  ASSERT_EQ(history.size(), 2U);
+  EXPECT_EQ(history[0]["seconds"], 2.0);
+  EXPECT_EQ(history[0]["accesses"], 20.0);
+  EXPECT_EQ(history[0]["misses"], 5.0);
+  EXPECT_EQ(history[1]["seconds"], 4.0);
+  EXPECT_EQ(history[1]["accesses"], 48.0);
+  EXPECT_EQ(history[1]["remote_bytes"], 100.0);
+}
+
 TEST_F(Report, TheTotalIsTheSumOfThePhases) {
   EXPECT_EQ(make_report(record_)["time"]["total"], 15.0);
 }
