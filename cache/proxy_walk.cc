@@ -275,13 +275,21 @@ class Walker {
            one_sided_[record.material_major] != 0 && one_sided_[record.material_minor] != 0;
   }
 
+  // True if the ray meets a back, `rate` along the leaf's normal, that does not stop it. For a ray
+  // that begins in free space it is a body's outline, some facets of which are turned to the ray as
+  // little as their mean is turned away; where that is much, the back is seen indeed.
+  [[nodiscard]] bool passes_from_behind(const ProxyRecord& record, float rate) const {
+    constexpr float kOutlineMax = 0.7071F;  // 45 degrees
+    return rate > 0.0F && (origin_.voxel != kNoIndex || rate < kOutlineMax) && has_one_side(record);
+  }
+
   // False if the ray meets no surface of the leaf's plane.
   bool cross_plane(const ProxyOrigin& leaf, const Interval& span, const ProxyRecord& record,
                    const Aabb& bounds) {
     const Vec3 normal = record_normal(record);
     const float offset = record_plane_offset(record, normal, bounds);
     const float rate = glm::dot(normal, ray_.direction);
-    if (rate > 0.0F && has_one_side(record)) { return false; }
+    if (passes_from_behind(record, rate)) { return false; }
     const float height = glm::dot(normal, ray_.origin) - offset;
     const float diagonal = glm::length(bounds.extent());
     const FlatAxes axes = flat_axes(normal);

@@ -4,8 +4,8 @@
 // of its facets has no inside: neighbours stick out of each other and are met again. Files do not
 // say what bounds a body: windings disagree, and rooms are open. So the sides are counted that
 // rays show which begin in free space or far away. A material whose backs they hardly see has only
-// fronts. Not so the other way round: where the camera looks at an open box from outside it sees the
-// backs of walls, and the rays that scatter inside see their fronts.
+// fronts. Not so the other way round: where the camera looks at an open box from outside it sees
+// the backs of walls, and the rays that scatter inside see their fronts.
 //
 // A body's outline shows leaves whose mean normal is turned away a little while facets of theirs
 // are not; so each sight counts by the cosine between ray and normal.

@@ -130,32 +130,8 @@ class TransportTracer {
         shading_(input.tables, with_cells(input.settings, cells_per_side), kAlbedoStrataCoarse),
         leaf_rng_(~input.settings.seed) {}
 
-  // Notes which sides of things a path shows that begins as that of the same numbers in `trace`.
-  void look(std::uint32_t cell, std::uint32_t sample, std::uint32_t index,
-            std::span<double> accesses, SeenSides& sides) const {
-    PathState path;
-    Ray ray = shading_.start_path(cell, sample, path);
-    path.pixel = 0;
-    path.sample = index;
-    ProxyOrigin origin;
-    for (std::uint32_t bounce = 0; bounce <= input_.settings.bounces; ++bounce) {
-      const LeafRandom random = leaf_random(index, bounce);
-      const ProxyStop stop = walk_.walk(ray, origin, random.unstopped, accesses);
-      if (!stop.is_stopped) { return; }
-      const ProxyRecord& record = input_.proxy.records[input_.proxy.nodes[stop.leaf.node].first];
-      if ((record.shape & kShapeOriented) != 0 && is_far(ray, origin, stop)) {
-        const float cosine = -glm::dot(record_normal(record), ray.direction);
-        sides.add(cosine > 0.0F ? record.material_major : record.material_minor, cosine);
-      }
-      const ShadedVertex vertex = shading_.shade_hit(ray, surface_at(ray, stop, random), path);
-      if (!vertex.has_scatter_ray) { return; }
-      origin = stop.leaf;
-      ray = vertex.scatter;
-    }
-  }
-
-  // What `look` has seen. Refracting surfaces have both sides whatever it has: rays come out of
-  // glass.
+  // What paths have seen, for those that are traced from now on. Refracting surfaces have both
+  // sides whatever it has: rays come out of glass.
   void set_sides(const SeenSides& sides) {
     one_sided_ = sides.one_sided();
     for (std::size_t i = 0; i < one_sided_.size(); ++i) {
@@ -166,7 +142,9 @@ class TransportTracer {
   }
 
   // One path of a cell. Behind the camera all paths, numbered by `index`, are samples of one pixel.
-  void trace(std::uint32_t cell, std::uint32_t sample, std::uint32_t index, Counts& counts) const {
+  // Given `sides`, it casts no shadow rays but notes which sides of things it sees.
+  void trace(std::uint32_t cell, std::uint32_t sample, std::uint32_t index, Counts& counts,
+             SeenSides* sides) const {
     PathState path;
     Ray ray = shading_.start_path(cell, sample, path);
     path.pixel = 0;
@@ -179,9 +157,10 @@ class TransportTracer {
       const ProxyStop stop =
           walk_.walk(ray, origin, random.unstopped, counts.accesses[type], one_sided_);
       if (!stop.is_stopped) { return; }
+      if (sides != nullptr && is_far(ray, origin, stop)) { note_side(ray, stop, *sides); }
       const ShadedVertex vertex = shading_.shade_hit(ray, surface_at(ray, stop, random), path);
       origin = stop.leaf;
-      if (vertex.has_shadow_ray) {
+      if (vertex.has_shadow_ray && sides == nullptr) {
         ++counts.rays[kShadow];
         static_cast<void>(
             walk_.walk(vertex.shadow, origin, 0.0F, counts.accesses[kShadow], one_sided_));
@@ -207,6 +186,13 @@ class TransportTracer {
     const RandomPair face = leaf_rng_.pair(0, index, bounce, Dimension::kRoulette);
     return {first.x(), first.y(), face.x(), face.y(),
             leaf_rng_.pair(0, index, bounce, Dimension::kDirection)};
+  }
+
+  void note_side(const Ray& ray, const ProxyStop& stop, SeenSides& sides) const {
+    const ProxyRecord& record = input_.proxy.records[input_.proxy.nodes[stop.leaf.node].first];
+    if ((record.shape & kShapeOriented) == 0) { return; }
+    const float cosine = -glm::dot(record_normal(record), ray.direction);
+    sides.add(cosine > 0.0F ? record.material_major : record.material_minor, cosine);
   }
 
   // True if the ray does not end at the surface that it leaves, as roughly as leaves know it.
@@ -300,22 +286,38 @@ class TransportTracer {
 };
 
 // One path in so many is followed before all are, to see which sides things have.
-constexpr std::uint32_t kPathsPerLook = 8;
+constexpr std::uint32_t kPathsPerLook = 32;
 
-// Of all paths, numbered from 0 with `cell_paths` for each cell.
-SeenSides look_around(const TransportTracer& tracer, const std::vector<std::uint32_t>& cells,
-                      std::uint32_t cell_paths, const PredictionInput& input) {
+// Traces all paths, `cell_paths` for each cell.
+std::vector<Counts> trace_all(TransportTracer& tracer, const std::vector<std::uint32_t>& cells,
+                              std::uint32_t cell_paths, const PredictionInput& input) {
   const auto path_count = static_cast<std::uint32_t>(cells.size()) * cell_paths;
-  std::vector<SeenSides> parts(kBatches, SeenSides(input.proxy.materials.size()));
+  const auto trace = [&](std::uint32_t index, Counts& counts, SeenSides* sides) {
+    tracer.trace(cells[index / cell_paths], index % cell_paths, index, counts, sides);
+  };
+  const auto clear = [&](Counts& counts) {
+    for (auto& type : counts.accesses) { type.assign(input.tables.voxels.size(), 0.0); }
+  };
+  std::vector<Counts> batches(kBatches);
+  std::vector<SeenSides> sides(kBatches, SeenSides(input.proxy.materials.size()));
   tbb::parallel_for(0U, kBatches, [&](std::uint32_t batch) {
-    std::vector<double> accesses(input.tables.voxels.size());
-    for (std::uint32_t look = batch; look < path_count / kPathsPerLook; look += kBatches) {
-      const std::uint32_t index = look * kPathsPerLook;
-      tracer.look(cells[index / cell_paths], index % cell_paths, index, accesses, parts[batch]);
+    clear(batches[batch]);
+    // Spread over the image, whose neighbouring cells have neighbouring numbers.
+    constexpr std::uint32_t kStride = kBatches * kPathsPerLook;
+    for (std::uint32_t index = batch * (kPathsPerLook + 1); index < path_count; index += kStride) {
+      trace(index, batches[batch], &sides[batch]);
     }
   });
-  for (std::uint32_t batch = 1; batch < kBatches; ++batch) { parts[0].add(parts[batch]); }
-  return parts[0];
+  for (std::uint32_t batch = 1; batch < kBatches; ++batch) { sides[0].add(sides[batch]); }
+  tracer.set_sides(sides[0]);
+  tbb::parallel_for(0U, kBatches, [&](std::uint32_t batch) {
+    batches[batch].rays = {};
+    clear(batches[batch]);
+    for (std::uint32_t index = batch; index < path_count; index += kBatches) {
+      trace(index, batches[batch], nullptr);
+    }
+  });
+  return batches;
 }
 
 // Sums of the batches, scaled from the paths traced to the samples of the image. What a batch says
@@ -408,17 +410,9 @@ Result<Prediction> predict_transport(const PredictionInput& input) {
   const std::uint32_t cell_paths = cells.empty() ? 0 : (paths + cell_count / 2) / cell_count;
   TransportTracer tracer(input, *walk, cells_per_side);
   const std::size_t voxel_count = input.tables.voxels.size();
-  std::vector<Counts> batches(kBatches);
   tbb::task_arena arena(static_cast<int>(std::max(1U, input.threads)));
-  arena.execute([&] {
-    tracer.set_sides(look_around(tracer, cells, cell_paths, input));
-    tbb::parallel_for(0U, kBatches, [&](std::uint32_t batch) {
-      for (auto& type : batches[batch].accesses) { type.resize(voxel_count, 0.0); }
-      for (std::uint32_t index = batch; index < cell_count * cell_paths; index += kBatches) {
-        tracer.trace(cells[index / cell_paths], index % cell_paths, index, batches[batch]);
-      }
-    });
-  });
+  const std::vector<Counts> batches =
+      arena.execute([&] { return trace_all(tracer, cells, cell_paths, input); });
   const double samples = sample_count(input.settings);
   const double cells_all = static_cast<double>(cells_per_side) * cells_per_side;
   const Estimate estimate(batches, voxel_count, samples / (cells_all * std::max(1U, cell_paths)));
