@@ -117,7 +117,8 @@ class SlabTest {
 class Walker {
  public:
   Walker(const SceneTables& tables, const std::vector<BoxesOfEight>& children, const Proxy& proxy,
-         const Ray& ray, const ProxyOrigin& origin, float unstopped, std::span<double> accesses)
+         const Ray& ray, const ProxyOrigin& origin, float unstopped, std::span<double> accesses,
+         std::span<const std::uint8_t> one_sided)
       : tables_(tables),
         children_(children),
         proxy_(proxy),
@@ -128,6 +129,7 @@ class Walker {
         origin_(origin),
         unstopped_(unstopped),
         accesses_(accesses),
+        one_sided_(one_sided),
         left_at_(ray.t_min) {}
 
   ProxyStop run() {
@@ -267,12 +269,27 @@ class Walker {
     return is_through_face ? t : kInfinity;
   }
 
+  // True if rays meet the leaf only where its normal points.
+  [[nodiscard]] bool has_one_side(const ProxyRecord& record) const {
+    return !one_sided_.empty() && (record.shape & kShapeOriented) != 0 &&
+           one_sided_[record.material_major] != 0 && one_sided_[record.material_minor] != 0;
+  }
+
+  // True if the ray meets a back, `rate` along the leaf's normal, that does not stop it. For a ray
+  // that begins in free space it is a body's outline, some facets of which are turned to the ray as
+  // little as their mean is turned away; where that is much, the back is seen indeed.
+  [[nodiscard]] bool passes_from_behind(const ProxyRecord& record, float rate) const {
+    constexpr float kOutlineMax = 0.7071F;  // 45 degrees
+    return rate > 0.0F && (origin_.voxel != kNoIndex || rate < kOutlineMax) && has_one_side(record);
+  }
+
   // False if the ray meets no surface of the leaf's plane.
   bool cross_plane(const ProxyOrigin& leaf, const Interval& span, const ProxyRecord& record,
                    const Aabb& bounds) {
     const Vec3 normal = record_normal(record);
     const float offset = record_plane_offset(record, normal, bounds);
     const float rate = glm::dot(normal, ray_.direction);
+    if (passes_from_behind(record, rate)) { return false; }
     const float height = glm::dot(normal, ray_.origin) - offset;
     const float diagonal = glm::length(bounds.extent());
     const FlatAxes axes = flat_axes(normal);
@@ -317,8 +334,9 @@ class Walker {
       t_step[i] = block[axis] * std::abs(slabs_.reciprocal[axis]);
     }
     const float roundness = static_cast<float>(record.thickness) / 255.0F;
-    const float density =
+    float density =
         roundness * glm::length(along) + (1.0F - roundness) * (along.x + along.y + along.z);
+    density *= share_facing(record);
     const std::uint64_t mask = record_mask(record);
     const float reach = kReachBlocks * glm::length(block);
     Interval run{span.t_enter, span.t_enter};  // of occupied blocks, so far
@@ -343,6 +361,14 @@ class Walker {
       t_next[axis] += t_step[axis];
     }
     cross_run(leaf, run, density, reach);
+  }
+
+  // How much of what a leaf shows along the ray is turned to it. Of a leaf with one side all, where
+  // the ray comes straight at the mean normal, and half where it passes across.
+  [[nodiscard]] float share_facing(const ProxyRecord& record) const {
+    if (!has_one_side(record)) { return 1.0F; }
+    const float rate = glm::dot(record_normal(record), ray_.direction);
+    return std::clamp(0.5F - 0.5F * rate, 0.0F, 1.0F);
   }
 
   // A run that ends within `reach` of the ray's end is the surface that it ends at.
@@ -380,6 +406,7 @@ class Walker {
   const ProxyOrigin& origin_;
   float unstopped_;
   std::span<double> accesses_;
+  std::span<const std::uint8_t> one_sided_;
   float transmittance_ = 1.0F;
   float transmittance_before_ = 1.0F;  // where it last fell, and where that was
   float stopped_at_ = -kInfinity;
@@ -433,8 +460,9 @@ Result<ProxyWalk> ProxyWalk::create(const SceneTables& tables, const Proxy& prox
 }
 
 ProxyStop ProxyWalk::walk(const Ray& ray, const ProxyOrigin& origin, float unstopped,
-                          std::span<double> accesses) const {
-  return Walker(*tables_, children_, *proxy_, ray, origin, unstopped, accesses).run();
+                          std::span<double> accesses,
+                          std::span<const std::uint8_t> one_sided) const {
+  return Walker(*tables_, children_, *proxy_, ray, origin, unstopped, accesses, one_sided).run();
 }
 
 }  // namespace preheat

@@ -51,9 +51,11 @@ class ProxyWalk {
 
   // `unstopped` in [0,1): the walk stops where the transmittance falls to it or below; 0 = where
   // nothing passes. A ray with an end is not stopped by the surface that it ends at. Adds to
-  // `accesses` [voxel_count].
+  // `accesses` [voxel_count]. `one_sided` [Proxy::materials], or empty for none: 1 for what stops
+  // no ray from behind.
   [[nodiscard]] ProxyStop walk(const Ray& ray, const ProxyOrigin& origin, float unstopped,
-                               std::span<double> accesses) const;
+                               std::span<double> accesses,
+                               std::span<const std::uint8_t> one_sided = {}) const;
 
  private:
   ProxyWalk(const SceneTables& tables, const Proxy& proxy);

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "cache/proxy_walk.h"
+#include "cache/seen_sides.h"
 #include "common/math.h"
 #include "common/path.h"
 #include "common/rng.h"
@@ -129,8 +130,21 @@ class TransportTracer {
         shading_(input.tables, with_cells(input.settings, cells_per_side), kAlbedoStrataCoarse),
         leaf_rng_(~input.settings.seed) {}
 
+  // What paths have seen, for those that are traced from now on. Refracting surfaces have both
+  // sides whatever it has: rays come out of glass.
+  void set_sides(const SeenSides& sides) {
+    one_sided_ = sides.one_sided();
+    for (std::size_t i = 0; i < one_sided_.size(); ++i) {
+      if (input_.tables.materials[input_.proxy.materials[i]].transmission > 0.0F) {
+        one_sided_[i] = 0;
+      }
+    }
+  }
+
   // One path of a cell. Behind the camera all paths, numbered by `index`, are samples of one pixel.
-  void trace(std::uint32_t cell, std::uint32_t sample, std::uint32_t index, Counts& counts) const {
+  // Given `sides`, it casts no shadow rays but notes which sides of things it sees.
+  void trace(std::uint32_t cell, std::uint32_t sample, std::uint32_t index, Counts& counts,
+             SeenSides* sides) const {
     PathState path;
     Ray ray = shading_.start_path(cell, sample, path);
     path.pixel = 0;
@@ -140,13 +154,16 @@ class TransportTracer {
     for (std::uint32_t bounce = 0; bounce <= input_.settings.bounces; ++bounce) {
       ++counts.rays[type];
       const LeafRandom random = leaf_random(index, bounce);
-      const ProxyStop stop = walk_.walk(ray, origin, random.unstopped, counts.accesses[type]);
+      const ProxyStop stop =
+          walk_.walk(ray, origin, random.unstopped, counts.accesses[type], one_sided_);
       if (!stop.is_stopped) { return; }
+      if (sides != nullptr && is_far(ray, origin, stop)) { note_side(ray, stop, *sides); }
       const ShadedVertex vertex = shading_.shade_hit(ray, surface_at(ray, stop, random), path);
       origin = stop.leaf;
-      if (vertex.has_shadow_ray) {
+      if (vertex.has_shadow_ray && sides == nullptr) {
         ++counts.rays[kShadow];
-        static_cast<void>(walk_.walk(vertex.shadow, origin, 0.0F, counts.accesses[kShadow]));
+        static_cast<void>(
+            walk_.walk(vertex.shadow, origin, 0.0F, counts.accesses[kShadow], one_sided_));
       }
       if (!vertex.has_scatter_ray) { return; }
       ray = vertex.scatter;
@@ -169,6 +186,23 @@ class TransportTracer {
     const RandomPair face = leaf_rng_.pair(0, index, bounce, Dimension::kRoulette);
     return {first.x(), first.y(), face.x(), face.y(),
             leaf_rng_.pair(0, index, bounce, Dimension::kDirection)};
+  }
+
+  void note_side(const Ray& ray, const ProxyStop& stop, SeenSides& sides) const {
+    const ProxyRecord& record = input_.proxy.records[input_.proxy.nodes[stop.leaf.node].first];
+    if ((record.shape & kShapeOriented) == 0) { return; }
+    const float cosine = -glm::dot(record_normal(record), ray.direction);
+    sides.add(cosine > 0.0F ? record.material_major : record.material_minor, cosine);
+  }
+
+  // True if the ray does not end at the surface that it leaves, as roughly as leaves know it.
+  [[nodiscard]] bool is_far(const Ray& ray, const ProxyOrigin& origin,
+                            const ProxyStop& stop) const {
+    constexpr float kLeaves = 2.0F;
+    if (origin.node == kNoIndex) { return true; }
+    const Vec3 reach = input_.proxy.nodes[origin.node].bounds.extent() +
+                       input_.proxy.nodes[stop.leaf.node].bounds.extent();
+    return stop.t - ray.t_min > kLeaves * glm::length(reach);
   }
 
   // What a ray meets of a leaf.
@@ -248,7 +282,43 @@ class TransportTracer {
   const ProxyWalk& walk_;
   Shading shading_;
   Rng leaf_rng_;
+  std::vector<std::uint8_t> one_sided_{};  // [Proxy::materials]
 };
+
+// One path in so many is followed before all are, to see which sides things have.
+constexpr std::uint32_t kPathsPerLook = 32;
+
+// Traces all paths, `cell_paths` for each cell.
+std::vector<Counts> trace_all(TransportTracer& tracer, const std::vector<std::uint32_t>& cells,
+                              std::uint32_t cell_paths, const PredictionInput& input) {
+  const auto path_count = static_cast<std::uint32_t>(cells.size()) * cell_paths;
+  const auto trace = [&](std::uint32_t index, Counts& counts, SeenSides* sides) {
+    tracer.trace(cells[index / cell_paths], index % cell_paths, index, counts, sides);
+  };
+  const auto clear = [&](Counts& counts) {
+    for (auto& type : counts.accesses) { type.assign(input.tables.voxels.size(), 0.0); }
+  };
+  std::vector<Counts> batches(kBatches);
+  std::vector<SeenSides> sides(kBatches, SeenSides(input.proxy.materials.size()));
+  tbb::parallel_for(0U, kBatches, [&](std::uint32_t batch) {
+    clear(batches[batch]);
+    // Spread over the image, whose neighbouring cells have neighbouring numbers.
+    constexpr std::uint32_t kStride = kBatches * kPathsPerLook;
+    for (std::uint32_t index = batch * (kPathsPerLook + 1); index < path_count; index += kStride) {
+      trace(index, batches[batch], &sides[batch]);
+    }
+  });
+  for (std::uint32_t batch = 1; batch < kBatches; ++batch) { sides[0].add(sides[batch]); }
+  tracer.set_sides(sides[0]);
+  tbb::parallel_for(0U, kBatches, [&](std::uint32_t batch) {
+    batches[batch].rays = {};
+    clear(batches[batch]);
+    for (std::uint32_t index = batch; index < path_count; index += kBatches) {
+      trace(index, batches[batch], nullptr);
+    }
+  });
+  return batches;
+}
 
 // Sums of the batches, scaled from the paths traced to the samples of the image. What a batch says
 // of the whole is that many times its own count; the standard error of their mean overstates that
@@ -338,18 +408,11 @@ Result<Prediction> predict_transport(const PredictionInput& input) {
       cells_shown(input.tables, input.settings.view, cells_per_side);
   const auto cell_count = static_cast<std::uint32_t>(cells.size());
   const std::uint32_t cell_paths = cells.empty() ? 0 : (paths + cell_count / 2) / cell_count;
-  const TransportTracer tracer(input, *walk, cells_per_side);
+  TransportTracer tracer(input, *walk, cells_per_side);
   const std::size_t voxel_count = input.tables.voxels.size();
-  std::vector<Counts> batches(kBatches);
   tbb::task_arena arena(static_cast<int>(std::max(1U, input.threads)));
-  arena.execute([&] {
-    tbb::parallel_for(0U, kBatches, [&](std::uint32_t batch) {
-      for (auto& type : batches[batch].accesses) { type.resize(voxel_count, 0.0); }
-      for (std::uint32_t index = batch; index < cell_count * cell_paths; index += kBatches) {
-        tracer.trace(cells[index / cell_paths], index % cell_paths, index, batches[batch]);
-      }
-    });
-  });
+  const std::vector<Counts> batches =
+      arena.execute([&] { return trace_all(tracer, cells, cell_paths, input); });
   const double samples = sample_count(input.settings);
   const double cells_all = static_cast<double>(cells_per_side) * cells_per_side;
   const Estimate estimate(batches, voxel_count, samples / (cells_all * std::max(1U, cell_paths)));

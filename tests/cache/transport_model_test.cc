@@ -7,6 +7,7 @@
 #include <cstdio>
 
 #include "tests/cache/transport_truth.h"
+#include "tests/scenes/soups.h"
 
 namespace preheat {
 namespace {
@@ -124,6 +125,43 @@ TEST(TransportModel, SpendsItsPathsWhereTheImageShowsTheScene) {
     EXPECT_GT(counted.scatter_total, 0.0);
     EXPECT_NEAR(predicted.scatter_total / counted.scatter_total, 1.0, 0.05);
     EXPECT_EQ(predicted.camera_total, counted.camera_total);
+  }
+}
+
+TEST(TransportModel, ExpectsNoRaysFromABallToItself) {
+  const CompiledScene compiled = test::compile_in_memory(test::ball(7), 75);
+  RenderSettings settings = test::room_settings(/*size=*/128, /*spp=*/1);
+  settings.sky = Vec3(1.0F);
+  settings.view.origin = Vec3(0.0F, 1.0F, 3.0F);
+  settings.view.forward = -glm::normalize(settings.view.origin);
+  settings.view.right = Vec3(0.4F, 0.0F, 0.0F);
+  settings.view.up = 0.4F * glm::normalize(glm::cross(Vec3(1, 0, 0), settings.view.forward));
+
+  const Prediction predicted =
+      *predict("transport", {compiled.tables, compiled.proxy, settings, 1});
+  const Prediction counted = test::count_accesses(compiled, settings);
+  const Agreement agreement = test::compare(compiled.tables, predicted, counted);
+
+  print("ball", compiled, predicted, counted, agreement);
+  EXPECT_NEAR(agreement.total, 1.0, 0.05);
+  EXPECT_NEAR(predicted.scatter_total / counted.scatter_total, 1.0, 0.1);
+  EXPECT_NEAR(predicted.shadow_total / counted.shadow_total, 1.0, 0.1);
+}
+
+// Rays meet the inside of a ball whose normals point outwards at every bounce: from behind.
+TEST(TransportModel, KeepsTheWallsOfARoomThatIsSeenFromBehind) {
+  for (const bool is_inside_out : {false, true}) {
+    const CompiledScene compiled =
+        test::compile_in_memory(test::ball(24, 0.9F, is_inside_out), 600);
+    RenderSettings settings = test::room_settings(/*size=*/128, /*spp=*/1);
+    settings.view.origin = Vec3(-0.2F, 0.1F, 0.3F);
+
+    const Prediction predicted =
+        *predict("transport", {compiled.tables, compiled.proxy, settings, 1});
+    const Prediction counted = test::count_accesses(compiled, settings);
+
+    EXPECT_GT(counted.scatter_total, counted.camera_total);
+    EXPECT_NEAR(predicted.scatter_total / counted.scatter_total, 1.0, 0.05);
   }
 }
 

@@ -83,4 +83,30 @@ inline Scene sheet(std::uint32_t n) {
   return scene;
 }
 
+// A ball of 8 n^2 facets around the origin, wound so that its normals point outwards; or inwards.
+inline Scene ball(std::uint32_t n, float radius = 0.9F, bool is_inside_out = false) {
+  Scene scene = empty_scene();
+  for (unsigned octant = 0; octant < 8; ++octant) {
+    const Vec3 sign((octant & 1U) != 0 ? -1.0F : 1.0F, (octant & 2U) != 0 ? -1.0F : 1.0F,
+                    (octant & 4U) != 0 ? -1.0F : 1.0F);
+    const auto at = [&](std::uint32_t x, std::uint32_t y) {
+      const Vec3 corner(static_cast<float>(x), static_cast<float>(y),
+                        static_cast<float>(n - x - y));
+      return radius * glm::normalize(sign * corner);
+    };
+    const auto add = [&](const Vec3& a, const Vec3& b, const Vec3& c) {
+      const bool is_outwards = glm::dot(glm::cross(b - a, c - a), a) > 0.0F;
+      add_triangle(scene, a, is_outwards != is_inside_out ? b : c,
+                   is_outwards != is_inside_out ? c : b);
+    };
+    for (std::uint32_t y = 0; y < n; ++y) {
+      for (std::uint32_t x = 0; x + y < n; ++x) {
+        add(at(x, y), at(x + 1, y), at(x, y + 1));
+        if (x + y + 2 <= n) { add(at(x + 1, y), at(x + 1, y + 1), at(x, y + 1)); }
+      }
+    }
+  }
+  return scene;
+}
+
 }  // namespace preheat::test
