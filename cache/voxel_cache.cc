@@ -48,6 +48,7 @@ bool VoxelCache::block_arrived(VoxelId voxel) {
   Slot& slot = slots_[index_of(voxel)];
   if (slot.state != State::kFetching) { return false; }
   slot.state = State::kRaw;
+  --fetching_;
   slot.held_before = false;
   hold(block_bytes(voxel));
   arrived_.push_back(voxel);
@@ -78,6 +79,10 @@ void VoxelCache::withdrawn(VoxelId voxel) {
   slot.bvh_bytes = 0;
 }
 
+// Of kCommandsUnderWayMax. A link of 100 Mbit/s keeps it far above; on one machine, where a fetch
+// is hardly slower than the build that follows, it is around it.
+constexpr double kFetchesShort = 2.0;
+
 std::optional<VoxelId> VoxelCache::find_victim(VoxelId kept) {
   const auto is_idle_block = [&](VoxelId voxel) {
     const Slot& slot = slots_[index_of(voxel)];
@@ -87,6 +92,12 @@ std::optional<VoxelId> VoxelCache::find_victim(VoxelId kept) {
     const Slot& slot = slots_[index_of(voxel)];
     return slot.waiting == 0 && (slot.state == State::kBuilt || is_idle_block(voxel));
   };
+  if (fetches_ahead_ > kFetchesShort) {
+    const auto is_idle_bvh = [&](VoxelId voxel) {
+      return slots_[index_of(voxel)].state == State::kBuilt && is_idle(voxel);
+    };
+    if (const auto victim = policy_->first_to_go(is_idle_bvh)) { return victim; }
+  }
   if (const auto victim = policy_->first_to_go(is_idle)) { return victim; }
   // A block that rays wait for but that is not admitted yet may go too, after all others: it must
   // not keep the room that an admission before it needs.
@@ -125,6 +136,7 @@ void VoxelCache::admit(VoxelId voxel, std::vector<Command>& commands) {
     commands.push_back({Action::kBuild, voxel});
   } else {
     slot.state = State::kFetching;
+    ++fetching_;
     slot.prefetched = slot.waiting == 0;
     policy_->admitted(voxel);
     commands.push_back({Action::kFetch, voxel});
@@ -145,7 +157,14 @@ void VoxelCache::admit_prefetches(std::vector<Command>& commands) {
   }
 }
 
+void VoxelCache::note_what_is_short() {
+  constexpr double kOfOneStep = 1.0 / 64.0;
+  const auto building = static_cast<double>(under_way_ - fetching_);
+  fetches_ahead_ += kOfOneStep * (static_cast<double>(fetching_) - building - fetches_ahead_);
+}
+
 std::vector<VoxelCache::Command> VoxelCache::step() {
+  note_what_is_short();
   std::vector<Command> commands;
   // Blocks that have arrived for an admitted voxel: their BVH's bytes are promised already.
   for (const VoxelId voxel : std::exchange(arrived_, {})) {

@@ -9,7 +9,9 @@
 // So admitted voxels always come to an end, and a limit of one voxel still renders: they are
 // admitted in turn. What is prefetched is admitted while nothing is waited for, and never takes the
 // place of anything. Room is made from the voxel that the policy names: first its BVH goes, then
-// its block.
+// its block. A BVH costs a build to have again and a block a fetch and a build: while nearly
+// all that is under way is on its way here and next to nothing waits to be built, fetches are what
+// is short, and every BVH that can go goes before any block.
 //
 // Invariant, checked after every step: held_bytes() <= promised_bytes() <= limit_bytes.
 //
@@ -108,6 +110,7 @@ class VoxelCache {
   // under way or for admitted voxels to be served.
   [[nodiscard]] bool make_room(VoxelId kept, std::uint64_t bytes, std::vector<Command>& commands);
   [[nodiscard]] std::optional<VoxelId> find_victim(VoxelId kept);
+  void note_what_is_short();
   [[nodiscard]] std::uint64_t block_bytes(VoxelId voxel) const {
     return voxels_[index_of(voxel)].block_bytes;
   }
@@ -128,6 +131,8 @@ class VoxelCache {
   std::uint64_t held_bytes_peak_ = 0;
   std::uint64_t withdrawing_bytes_ = 0;  // comes back without a further command
   std::size_t under_way_ = 0;
+  std::size_t fetching_ = 0;    // of those under way
+  double fetches_ahead_ = 0.0;  // how many more are being fetched than built, over the last steps
   Counts counts_{};
 };
 

@@ -75,6 +75,46 @@ TEST(VoxelCache, GivesUpTheBvhBeforeTheBlockAndTheOldestFirst) {
   EXPECT_EQ(cache.step(), (std::vector<Command>{{Action::kFetch, VoxelId{2}}}));
 }
 
+// Voxel 0 raw and oldest, voxel 1 built, eight being fetched, no room left; voxel 10 takes no more
+// than one BVH.
+struct FullCache {
+  std::vector<VoxelCache::Size> voxels = make_voxels(11);
+  VoxelCache cache;
+
+  FullCache() : cache(make_cache(with_a_small_one(voxels), 1300)) {
+    fetch_build_and_serve(cache, VoxelId{0});
+    fetch_build_and_serve(cache, VoxelId{1});
+    for (std::uint32_t voxel = 2; voxel < 10; ++voxel) { cache.add_waiting(VoxelId{voxel}, 1); }
+    EXPECT_EQ(cache.step().size(), 8U);  // seven fetches, and the BVH of voxel 0
+    cache.withdrawn(VoxelId{0});
+    EXPECT_EQ(cache.step(), (std::vector<Command>{{Action::kFetch, VoxelId{9}}}));
+    EXPECT_EQ(cache.promised_bytes(), 1300U);
+  }
+
+  static const std::vector<VoxelCache::Size>& with_a_small_one(
+      std::vector<VoxelCache::Size>& voxels) {
+    voxels[10] = {40, 60};
+    return voxels;
+  }
+};
+
+TEST(VoxelCache, GivesUpTheOldestWhereFetchesAreNotShort) {
+  FullCache full;
+  full.cache.add_waiting(VoxelId{10}, 1);
+  EXPECT_EQ(full.cache.step(), (std::vector<Command>{{Action::kDropBlock, VoxelId{0}},
+                                                     {Action::kWithdraw, VoxelId{1}}}));
+}
+
+TEST(VoxelCache, GivesUpABvhBeforeAnyBlockWhereFetchesAreShort) {
+  FullCache full;
+  // Nothing of it arrives.
+  for (int i = 0; i < 64; ++i) { EXPECT_TRUE(full.cache.step().empty()); }
+  full.cache.add_waiting(VoxelId{10}, 1);
+  EXPECT_EQ(full.cache.step(), (std::vector<Command>{{Action::kWithdraw, VoxelId{1}}}));
+  full.cache.withdrawn(VoxelId{1});
+  EXPECT_EQ(full.cache.step(), (std::vector<Command>{{Action::kFetch, VoxelId{10}}}));
+}
+
 TEST(VoxelCache, RebuildsFromAHeldBlockWithoutFetching) {
   const auto voxels = make_voxels(2);
   VoxelCache cache = make_cache(voxels, 180);
