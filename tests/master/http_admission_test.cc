@@ -106,7 +106,7 @@ TEST(HttpAdmission, KeepsItsBoundsWhateverComes) {
   int waited = 0;
   int now_ms = 0;
   for (int step = 0; step < 20'000; ++step) {
-    now_ms += static_cast<int>(random() % 200);
+    now_ms += static_cast<int>(random() % 100);
     const Time now = at(now_ms);
     if (random() % 4 == 0 && !held.empty()) {
       held.erase(held.begin() + static_cast<std::ptrdiff_t>(random() % held.size()));
