@@ -3,16 +3,17 @@
 # off, late, stopped, misused. Every image is compared with that of `--local` on this machine, so
 # that another Embree, compiler and C library have to agree to the bit.
 #
-#   docker/cluster_test.sh [--brief] [PREHEAT]
+#   docker/cluster_test.sh [--brief | --no-unit-tests] [PREHEAT]
 #
 # PREHEAT is the program on this machine (build/release/bin/preheat). Builds the image, unit tests
 # included, and ends with one line "N passed, N failed"; 1 if any failed, 77 and the reason if this
-# machine cannot run containers. --brief builds the image without unit tests, and renders once with
-# two workers.
+# machine cannot run containers. --no-unit-tests leaves them out of the image, for where the same
+# commit is tested beside it; --brief, too, and renders once with two workers.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
-brief=no
-[[ ${1:-} == --brief ]] && { brief=yes; shift; }
+brief=no unit_tests=all
+[[ ${1:-} == --brief ]] && brief=yes
+[[ ${1:-} == --brief || ${1:-} == --no-unit-tests ]] && { unit_tests=none; shift; }
 program=${1:-build/release/bin/preheat}
 
 source docker/checks.sh
@@ -21,9 +22,8 @@ needs_docker
 
 say "image"
 started=$SECONDS
-[[ $brief == yes ]] && tests=none || tests=all
-docker build -q --build-arg UNIT_TESTS="$tests" -f docker/Dockerfile -t preheat . >/dev/null
-printf 'built, unit tests: %s, in %s s, %s MB\n' "$tests" "$((SECONDS - started))" \
+docker build -q --build-arg UNIT_TESTS="$unit_tests" -f docker/Dockerfile -t preheat . >/dev/null
+printf 'built, unit tests: %s, in %s s, %s MB\n' "$unit_tests" "$((SECONDS - started))" \
   "$(($(docker image inspect -f '{{.Size}}' preheat) / 1000000))"
 
 scratch=$(mktemp -d)
