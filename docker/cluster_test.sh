@@ -30,15 +30,15 @@ scratch=$(mktemp -d)
 chmod 755 "$scratch"
 export COMPOSE_PROJECT_NAME=preheat-test-$$ PREHEAT_IMAGE=preheat
 export PREHEAT_SCENE=demo:50000
-[[ $brief == yes ]] && spp=24 || spp=64
+[[ $brief == yes ]] && spp=24 || spp=32
 settings="--size 320x216 --spp $spp --bounces 8 --tile-size 16"
 export PREHEAT_ARGS=$settings
-# Until something has befallen it a cluster's workers have a tenth of a processor each: then no
+# Until something has befallen it a cluster's workers have a twentieth of a processor each: then no
 # machine is done too early, and none has to trace for the sake of time.
 cat >"$scratch/slow.yaml" <<'YAML'
 services:
   worker:
-    cpus: 0.1
+    cpus: 0.05
 YAML
 compose() { docker compose -f docker/compose.yaml -f "$scratch/slow.yaml" "$@"; }
 farm() { docker compose -f docker/cluster.yaml "$@"; }
