@@ -35,10 +35,11 @@ settings="--size 320x216 --spp $spp --bounces 8 --tile-size 16"
 export PREHEAT_ARGS=$settings
 # Until something has befallen it a cluster's workers have a twentieth of a processor each: then no
 # machine is done too early, and none has to trace for the sake of time.
-cat >"$scratch/slow.yaml" <<'YAML'
+slow_cpus=0.05
+cat >"$scratch/slow.yaml" <<YAML
 services:
   worker:
-    cpus: 0.05
+    cpus: $slow_cpus
 YAML
 compose() { docker compose -f docker/compose.yaml -f "$scratch/slow.yaml" "$@"; }
 farm() { docker compose -f docker/cluster.yaml "$@"; }
@@ -162,7 +163,13 @@ worker_killed() {
 workers_paused() {
   begin "all workers paused" 2
   check "it renders" eventually at_least "done" 5
-  quietly compose pause worker || true
+  local worker
+  for worker in $(compose ps -q worker); do
+    # A process that waits for its share of a processor cannot be frozen.
+    quietly docker update --cpus "$(nproc)" "$worker" || true
+    check "it is paused" quietly docker pause "$worker"
+    quietly docker update --cpus "$slow_cpus" "$worker" || true
+  done
   check "the master notices" eventually at_least lost 2
   quietly compose unpause worker || true
   check "they come back" eventually at_least here 2
