@@ -3,48 +3,45 @@
 # off, late, stopped, misused. Every image is compared with that of `--local` on this machine, so
 # that another Embree, compiler and C library have to agree to the bit.
 #
-#   docker/cluster_test.sh [--brief] [PREHEAT]
+#   docker/cluster_test.sh [--brief | --no-unit-tests] [PREHEAT]
 #
 # PREHEAT is the program on this machine (build/release/bin/preheat). Builds the image, unit tests
 # included, and ends with one line "N passed, N failed"; 1 if any failed, 77 and the reason if this
-# machine cannot run containers. --brief builds the image without unit tests, and renders once with
-# two workers.
+# machine cannot run containers. --no-unit-tests leaves them out of the image, for where the same
+# commit is tested beside it; --brief, too, and renders once with two workers.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
-brief=no
-[[ ${1:-} == --brief ]] && { brief=yes; shift; }
+brief=no unit_tests=all
+[[ ${1:-} == --brief ]] && brief=yes
+[[ ${1:-} == --brief || ${1:-} == --no-unit-tests ]] && { unit_tests=none; shift; }
 program=${1:-build/release/bin/preheat}
 
-skip() { printf 'skipped: %s\n' "$*"; exit 77; }
-say() { printf '== %s s: %s\n' "$SECONDS" "$*"; }
-
-engine=../shared/tools/docker-engine.sh
-if ! docker info >/dev/null 2>&1 && [[ $(id -u) == 0 && -x $engine ]]; then
-  "$engine" >/dev/null 2>&1 || true
-fi
-docker info >/dev/null 2>&1 || skip "no docker engine runs here"
-docker compose version >/dev/null 2>&1 || skip "no docker compose here"
-docker image inspect debian:trixie-slim >/dev/null 2>&1 || docker pull -q debian:trixie-slim ||
-  skip "the image debian:trixie-slim is not here and cannot be pulled"
-[[ -x $program ]] || skip "$program is not built"
-
 source docker/checks.sh
+needs_docker
+[[ -x $program ]] || skip "$program is not built"
 
 say "image"
 started=$SECONDS
-[[ $brief == yes ]] && tests=none || tests=all
-docker build -q --build-arg UNIT_TESTS="$tests" -f docker/Dockerfile -t preheat . >/dev/null
-printf 'built, unit tests: %s, in %s s, %s MB\n' "$tests" "$((SECONDS - started))" \
+docker build -q --build-arg UNIT_TESTS="$unit_tests" -f docker/Dockerfile -t preheat . >/dev/null
+printf 'built, unit tests: %s, in %s s, %s MB\n' "$unit_tests" "$((SECONDS - started))" \
   "$(($(docker image inspect -f '{{.Size}}' preheat) / 1000000))"
 
 scratch=$(mktemp -d)
 chmod 755 "$scratch"
 export COMPOSE_PROJECT_NAME=preheat-test-$$ PREHEAT_IMAGE=preheat
-# Small enough for a minute, long enough for something to happen in between.
 export PREHEAT_SCENE=demo:50000
-settings='--size 320x216 --spp 64 --bounces 8 --tile-size 16'
+[[ $brief == yes ]] && spp=24 || spp=32
+settings="--size 320x216 --spp $spp --bounces 8 --tile-size 16"
 export PREHEAT_ARGS=$settings
-compose() { docker compose -f docker/compose.yaml "$@"; }
+# Until something has befallen it a cluster's workers have a twentieth of a processor each: then no
+# machine is done too early, and none has to trace for the sake of time.
+slow_cpus=0.05
+cat >"$scratch/slow.yaml" <<YAML
+services:
+  worker:
+    cpus: $slow_cpus
+YAML
+compose() { docker compose -f docker/compose.yaml -f "$scratch/slow.yaml" "$@"; }
 farm() { docker compose -f docker/cluster.yaml "$@"; }
 quietly() { "$@" >>"$scratch/compose.log" 2>&1; }
 clean_up() {
@@ -62,6 +59,11 @@ trap 'exit 1' INT TERM
 sha_of() { sed -n 's/.*"pixels_sha256": "\([0-9a-f]*\)".*/\1/p' "$1/report.json"; }
 id_of() { compose ps -aq "$1" | head -n "${2:-1}" | tail -n 1; }
 exit_code_of() { docker inspect -f '{{.State.ExitCode}}' "$1"; }
+# Nothing more comes of a cluster whose master has ended.
+master=
+hopeful() {
+  [[ -z $master || $(docker inspect -f '{{.State.Status}}' "$master" 2>/dev/null) != exited ]]
+}
 
 # The master's word: status FIELD, where FIELD is done, here or lost.
 status() {
@@ -75,7 +77,7 @@ is_healthy() {
 }
 at_least() { (($(status "$1") >= $2)); }
 
-# begin NAME WORKERS: a cluster on its way, its output in $out.
+# begin NAME WORKERS: a cluster on its slow way, its output in $out.
 begin() {
   out=$scratch/$1
   say "$1"
@@ -83,12 +85,21 @@ begin() {
   export PREHEAT_OUT=$out
   quietly compose down --timeout 3
   quietly compose up -d --scale worker="$2"
+  master=$(id_of master)
+}
+# As fast as the machine can from here on.
+hurry() {
+  local worker
+  for worker in $(compose ps -q worker); do
+    quietly docker update --cpus "$(nproc)" "$worker" || true
+  done
 }
 # end_well: the render ends with 0 and the image of --local. Unlike `docker compose wait`, this knows
 # of masters that have ended before they are asked for.
 end_well() {
   local code
-  code=$(timeout 300 docker wait "$(id_of master)" || true)
+  hurry
+  code=$(timeout 600 docker wait "$master" || true)
   check "the master ends with 0" equal "$code" 0
   [[ $code == 0 ]] || compose logs --tail 20 master
   check "the image is that of --local outside" equal "$(sha_of "$out")" "$expected"
@@ -115,7 +126,7 @@ check "starts without a shell" contains "$("${bare[@]}" --network none preheat p
 # whole_cluster WORKERS
 whole_cluster() {
   begin "$1 workers" "$1"
-  timeout 300 docker compose -f docker/compose.yaml wait master >/dev/null 2>&1 &
+  timeout 600 docker compose -f docker/compose.yaml wait master >/dev/null 2>&1 &
   local waiting=$! waited=0
   check "the master is healthy while it renders" eventually is_healthy
   check "no process is root's" equal \
@@ -128,6 +139,7 @@ whole_cluster() {
     "$(docker inspect -f '{{.HostConfig.Memory}}' "$(id_of worker)")" 1073741824
   check "a worker does not hold the master's key" equal \
     "$(compose exec -T worker find /keys -name 'master.key' | wc -l)" 0
+  hurry
   wait "$waiting" || waited=$?
   check "compose gives the master's exit code" equal "$waited" 0
   end_well
@@ -151,7 +163,13 @@ worker_killed() {
 workers_paused() {
   begin "all workers paused" 2
   check "it renders" eventually at_least "done" 5
-  quietly compose pause worker || true
+  local worker
+  for worker in $(compose ps -q worker); do
+    # A process that waits for its share of a processor cannot be frozen.
+    quietly docker update --cpus "$(nproc)" "$worker" || true
+    check "it is paused" quietly docker pause "$worker"
+    quietly docker update --cpus "$slow_cpus" "$worker" || true
+  done
   check "the master notices" eventually at_least lost 2
   quietly compose unpause worker || true
   check "they come back" eventually at_least here 2
@@ -171,6 +189,7 @@ worker_late() {
   begin "a worker that comes late" 1
   check "it renders" eventually at_least "done" 5
   quietly compose up -d --no-recreate --scale worker=2
+  check "it is let in" eventually at_least here 2
   end_well
   check "both took part" equal "$(grep -c '"tiles": [1-9]' "$out/report.json")" 2
 }
@@ -178,8 +197,8 @@ worker_late() {
 master_stopped() {
   begin "the master stopped" 2
   check "it renders" eventually at_least "done" 5
-  quietly docker stop "$(id_of master)"
-  check "it ended in order within its ten seconds" equal "$(exit_code_of "$(id_of master)")" 143
+  quietly docker stop "$master"
+  check "it ended in order within its ten seconds" equal "$(exit_code_of "$master")" 143
   check "its workers ended with it" equal \
     "$(for worker in 1 2; do docker wait "$(id_of worker $worker)"; done | tr '\n' ' ')" "0 0 "
   check "there is no half image" equal "$(cd "$out" && echo *)" "*"
@@ -188,6 +207,7 @@ master_stopped() {
 
 misuse() {
   say "misuse"
+  master=
   # refused CODE TEXT OPTIONS... -- COMMAND...: a container ends with CODE and says TEXT.
   refused() {
     local code=$1 text=$2 said got=0 options=()

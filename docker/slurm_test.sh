@@ -11,17 +11,13 @@ set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 bin=$(realpath -m "${1:-build/release/bin}")
 
-skip() { printf 'skipped: %s\n' "$*"; exit 77; }
-say() { printf '== %s s: %s\n' "$SECONDS" "$*"; }
-
+source docker/checks.sh
 for tool in munged slurmctld slurmd sbatch srun scontrol; do
   command -v "$tool" >/dev/null || PATH=$PATH:/usr/sbin command -v "$tool" >/dev/null ||
     skip "$tool is not installed"
 done
 PATH=$PATH:/usr/sbin
 [[ -x $bin/preheat && -x $bin/preheat-worker ]] || skip "no programs in $bin"
-
-source docker/checks.sh
 
 scratch=$(mktemp -d)
 chmod 755 "$scratch"

@@ -6,11 +6,11 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
-#include <algorithm>
 #include <array>
 #include <atomic>
 #include <cerrno>
-#include <optional>
+#include <cstddef>
+#include <string>
 #include <thread>
 #include <utility>
 #include <vector>
@@ -23,6 +23,13 @@ namespace {
 
 constexpr int kPollMs = 100;
 constexpr int kNice = 5;
+// Newcomers between two looks at those who are there.
+constexpr int kAcceptedAtOnce = 64;
+
+std::string refusal_bytes() {
+  return response_bytes(
+      text_response(503, "too many connections from your address: try again in a second\n"), false);
+}
 
 }  // namespace
 
@@ -53,7 +60,7 @@ class HttpServer::Impl {
   enum class Stage { kReading, kWriting, kLeaving };
   struct Connection {
     Descriptor socket{};
-    Time begin{};
+    HeldConnection held{};
     Stage stage = Stage::kReading;
     std::string in{};
     std::string out{};
@@ -71,7 +78,7 @@ class HttpServer::Impl {
         Connection& connection = connections_[i];
         const short events = ready[i + 2].revents;
         if (events != 0) { serve(connection); }
-        if (now - connection.begin >= limits_.connection_max) { connection.over = true; }
+        if (now - connection.held.begin >= limits_.connection_max) { connection.over = true; }
       }
       std::erase_if(connections_, [](const Connection& connection) { return connection.over; });
       if (ready[1].revents != 0) { accept_some(now); }
@@ -81,7 +88,7 @@ class HttpServer::Impl {
   // [0] is the end, [1] the listener, then the connections.
   std::vector<pollfd> wait() {
     std::vector<pollfd> sockets{{stop_.number(), POLLIN, 0}, {listener_.number(), POLLIN, 0}};
-    if (is_full(Clock::now())) { sockets[1].fd = -1; }
+    if (must_wait(held(), Clock::now(), limits_)) { sockets[1].fd = -1; }
     for (const Connection& connection : connections_) {
       const short events = connection.stage == Stage::kWriting ? POLLOUT : POLLIN;
       sockets.push_back({connection.socket.number(), events, 0});
@@ -90,24 +97,43 @@ class HttpServer::Impl {
     return sockets;
   }
 
-  // Connections are in the order in which they came.
-  [[nodiscard]] bool is_full(Time now) const {
-    return connections_.size() >= limits_.connections_max &&
-           now - connections_.front().begin < limits_.patience;
+  [[nodiscard]] std::vector<HeldConnection> held() const {
+    std::vector<HeldConnection> held;
+    for (const Connection& connection : connections_) { held.push_back(connection.held); }
+    return held;
   }
 
   void accept_some(Time now) {
-    while (!is_full(now)) {
-      Descriptor socket(
-          ::accept4(listener_.number(), nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC));
+    for (int i = 0; i < kAcceptedAtOnce && !must_wait(held(), now, limits_); ++i) {
+      sockaddr_storage peer{};
+      socklen_t length = sizeof peer;
+      Descriptor socket(::accept4(listener_.number(), reinterpret_cast<sockaddr*>(&peer), &length,
+                                  SOCK_NONBLOCK | SOCK_CLOEXEC));
       if (!socket.is_open()) { return; }
-      if (connections_.size() >= limits_.connections_max) {
-        connections_.erase(connections_.begin());
+      const ClientAddress address = client_address(peer);
+      const AdmissionDecision decision = admit(held(), address, now, limits_);
+      if (decision.what == Admission::kRefuse) {
+        refuse(socket);
+        continue;
+      }
+      if (decision.what == Admission::kReplace) {
+        connections_.erase(connections_.begin() + static_cast<std::ptrdiff_t>(decision.replaced));
       }
       connections_.push_back({});
       connections_.back().socket = std::move(socket);
-      connections_.back().begin = now;
+      connections_.back().held = {address, now};
     }
+  }
+
+  // At once and without a place, so as well as it goes: what the client has sent by now is read,
+  // what it sends later resets the connection.
+  static void refuse(const Descriptor& socket) {
+    std::array<char, 4096> buffer{};
+    [[maybe_unused]] const ssize_t read = ::recv(socket.number(), buffer.data(), buffer.size(), 0);
+    const std::string bytes = refusal_bytes();
+    [[maybe_unused]] const ssize_t sent =
+        ::send(socket.number(), bytes.data(), bytes.size(), MSG_NOSIGNAL);
+    ::shutdown(socket.number(), SHUT_WR);
   }
 
   void serve(Connection& connection) {
@@ -184,7 +210,7 @@ class HttpServer::Impl {
   HttpLimits limits_;
   Descriptor stop_;
   std::atomic<bool> stopping_{false};
-  std::vector<Connection> connections_;
+  std::vector<Connection> connections_;  // in the order in which they came
   std::thread thread_;
 };
 

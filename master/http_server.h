@@ -1,31 +1,24 @@
 // Serves a page that is only looked at, on one thread that gives way to the render.
 //
-// Bounded whatever clients do: so many connections, each with one request whose head has a limit,
-// and so many seconds for all of it. When there is no room a new client takes the place of the
-// oldest that has had its time, so that silent or slow ones cannot keep others out.
+// Bounded whatever clients do: so many connections, in all and of one address, each with one
+// request whose head has a limit, and so many seconds for all of it. Where there is no room a new
+// client takes the place of the oldest that has had its time, so that silent or slow ones cannot
+// keep others out; of an address that has all its places and gives up none, it gets a 503.
 //
 // Debian 12's cpp-httplib (0.11.4) could not keep these bounds: it limits the length of a header
 // field but not how many there are, gives a client as long as it goes on sending bytes, holds a
 // thread for each that does, and queues the others without limit.
 #pragma once
 
-#include <chrono>
-#include <cstddef>
 #include <functional>
 #include <memory>
-#include <string>
 
 #include "common/result.h"
 #include "common/transport.h"
+#include "master/http_admission.h"
 #include "master/http_message.h"
 
 namespace preheat {
-
-struct HttpLimits {
-  std::size_t connections_max = 32;
-  std::chrono::milliseconds connection_max{10000};  // from accepted to closed
-  std::chrono::milliseconds patience{500};          // after which a connection may lose its place
-};
 
 class HttpServer {
  public:

@@ -17,13 +17,14 @@ const std::string_view kStatusPageHtml = R"html(<!DOCTYPE html>
 <body>
 <main>
 <h1 id="scene">preheat</h1>
-<p id="state" role="status">Asking&hellip;</p>
+<p id="state">Asking&hellip;</p>
+<p id="spoken" role="status"></p>
 <progress id="progress" max="1" value="0" aria-label="Tiles that have arrived"></progress>
 <noscript><p>Without scripts this page stands still: see <a href="/status.json">status.json</a>,
 <a href="/image.jpg">image.jpg</a> and <a href="/metrics">metrics</a>.</p></noscript>
-<div class="pair">
+<div class="pair live">
 <figure>
-<img id="image" alt="The image as far as it is rendered">
+<img id="image" src="/image.jpg" alt="The image as far as it is rendered">
 <figcaption id="size"></figcaption>
 </figure>
 <div>
@@ -81,6 +82,9 @@ function clock(seconds) {
 function set_text(element, text) {
   if (element.textContent !== text) { element.textContent = text; }
 }
+
+/* Read out when it changes, so not every second. */
+function speak(text) { set_text(at("spoken"), text); }
 
 function set_facts(facts) {
   const list = at("facts");
@@ -153,10 +157,11 @@ function show(status) {
   const left = share > 0 && share < 1
     ? ", about " + clock(status.time.rendering * (1 - share) / share) + " left" : "";
   const has_begun = status.time.rendering > 0 || tiles.done > 0;
+  const before = status.workers.preparing > 0 ? "Workers load their voxels" : "Waiting for workers";
   set_text(at("state"), !has_begun
-    ? (status.workers.preparing > 0 ? "Workers load their voxels" : "Waiting for workers") +
-      ", " + clock(status.time.waiting) + " so far."
+    ? before + ", " + clock(status.time.waiting) + " so far."
     : tiles.done + " of " + tiles.total + " tiles" + left + ".");
+  speak(has_begun ? 10 * Math.floor(10 * share) + " % of the tiles are done." : before + ".");
   at("progress").value = share;
   set_text(at("size"), status.image.width + "\u00d7" + status.image.height + " pixels, " +
     status.image.spp + " samples, " + status.image.bounces + " bounces");
@@ -182,8 +187,10 @@ async function poll() {
       const answer = await fetch("/status.json", {signal: AbortSignal.timeout(5000)});
       show(await answer.json());
     } catch (error) {
-      set_text(at("state"), "No answer: the render has ended, or its master is gone. " +
-        "What stands here is the last that was heard.");
+      const told = "No answer: the render has ended, or its master is gone. " +
+        "What stands here is the last that was heard.";
+      set_text(at("state"), told);
+      speak(told);
     }
   }
   setTimeout(poll, 1000);
@@ -194,6 +201,8 @@ poll();
 std::string status_page_style() {
   return std::string(kPageStyle) + std::string(kChartStyle) + R"css(
 progress { width: 100%; height: 1.2rem; accent-color: var(--look0); }
+#spoken { position: absolute; width: 1px; height: 1px; overflow: hidden; clip-path: inset(50%); }
+.live > div { flex: 1 1 22rem; }
 #image { display: block; max-width: 100%; height: auto; background: var(--soft); }
 .facts { display: grid; grid-template-columns: max-content auto; gap: 0.1rem 1rem; margin: 0.5rem 0; }
 .facts dt { font-weight: 600; } .facts dd { margin: 0; }

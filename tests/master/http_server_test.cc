@@ -21,8 +21,8 @@ class Sockets {
   ~Sockets() {
     for (const int socket : list_) { ::close(socket); }
   }
-  int add(unsigned port) {
-    list_.push_back(connect_raw(port));
+  int add(unsigned port, unsigned from = 1) {
+    list_.push_back(connect_raw(port, from));
     return list_.back();
   }
 
@@ -127,6 +127,38 @@ TEST_F(HttpServerTest, ClientsThatDoNotReadKeepNobodyOut) {
   }
 
   for (int i = 0; i < 5; ++i) { EXPECT_EQ(test::body_of(test::get(port(), "/")), "at /\n") << i; }
+}
+
+TEST_F(HttpServerTest, AnAddressWithAllItsPlacesIsToldSoAndOthersAreServed) {
+  HttpLimits limits = patient();
+  limits.connections_max = 8;
+  limits.connections_per_address_max = 3;
+  limits.patience = std::chrono::hours(1);
+  start(limits);
+  Sockets greedy;
+  for (int i = 0; i < 3; ++i) { greedy.add(port(), /*from=*/2); }
+
+  EXPECT_THAT(test::read_all(greedy.add(port(), 2)), StartsWith("HTTP/1.1 503 "));
+  EXPECT_THAT(test::read_all(greedy.add(port(), 2)), HasSubstr("from your address"));
+  EXPECT_EQ(test::body_of(test::get(port(), "/")), "at /\n");
+  EXPECT_EQ(answered_, 1);
+}
+
+TEST_F(HttpServerTest, AnAddressGivesUpItsOwnSilentConnections) {
+  HttpLimits limits = patient();
+  limits.connections_max = 8;
+  limits.connections_per_address_max = 2;
+  limits.patience = milliseconds(0);
+  start(limits);
+  Sockets sockets;
+  const int neighbour = sockets.add(port(), /*from=*/3);
+  for (int i = 0; i < 5; ++i) { sockets.add(port(), 2); }
+  const int last = sockets.add(port(), 2);
+  test::send_all(last, "GET /last HTTP/1.0\r\n\r\n");
+  test::send_all(neighbour, "GET /neighbour HTTP/1.0\r\n\r\n");
+
+  EXPECT_EQ(test::body_of(test::read_all(last)), "at /last\n");
+  EXPECT_EQ(test::body_of(test::read_all(neighbour)), "at /neighbour\n");
 }
 
 TEST_F(HttpServerTest, ConnectionsHaveAnEnd) {

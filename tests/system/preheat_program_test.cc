@@ -9,6 +9,8 @@
 #include <fstream>
 #include <iterator>
 #include <nlohmann/json.hpp>
+#include <regex>
+#include <set>
 #include <string>
 
 namespace {
@@ -235,6 +237,36 @@ TEST_F(Program, ExplainsItself) {
     EXPECT_EQ(help.standard_error, "");
   }
   EXPECT_THAT(preheat("--version").standard_output, HasSubstr("preheat 0."));
+}
+
+// The words of a help text that are options, without what stands behind them.
+std::set<std::string> options_in(const std::string& help) {
+  static const std::regex option("(^|[^-a-z])(--[a-z][-a-z]*)");
+  std::set<std::string> options;
+  for (std::sregex_iterator it(help.begin(), help.end(), option), end; it != end; ++it) {
+    options.insert((*it)[2].str());
+  }
+  return options;
+}
+
+TEST_F(Program, TheReadmeNamesEveryOption) {
+  std::ifstream stream(PREHEAT_README);
+  const std::string readme{std::istreambuf_iterator<char>(stream), {}};
+  ASSERT_FALSE(readme.empty()) << PREHEAT_README;
+  const std::set<std::string> named = options_in(readme);
+
+  for (const char* program : {"preheat compile", "preheat inspect", "preheat predict",
+                              "preheat evaluate", "preheat render", "preheat compare",
+                              "preheat keygen", "preheat status", "preheat", "preheat-worker"}) {
+    const std::string command =
+        std::string(PREHEAT_PROGRAM_DIR "/") + program + " --help >" + path("help.txt");
+    ASSERT_EQ(std::system(command.c_str()), 0) << command;
+    const std::set<std::string> options = options_in(content("help.txt"));
+    EXPECT_GE(options.size(), 2U) << program;
+    for (const std::string& option : options) {
+      EXPECT_TRUE(named.contains(option)) << program << " " << option;
+    }
+  }
 }
 
 }  // namespace
