@@ -55,6 +55,7 @@ constexpr float kWindowRelative = 1.9073486328125e-06F;
 constexpr float kWindowAbsolute = 4.76837158203125e-07F;
 
 float widened(float t) { return t * (1.0F + kWindowRelative) + kWindowAbsolute; }
+float half_widened(float t) { return t * (1.0F + 0.5F * kWindowRelative) + 0.5F * kWindowAbsolute; }
 
 // True if a hit at t lies so clearly before the entry that nothing inside can be nearer.
 bool is_before(float t, float t_enter) { return widened(t) < t_enter; }
@@ -65,6 +66,7 @@ struct QueryContext : RayContext {
   RayQuery* query = nullptr;
   VoxelUses* uses = nullptr;
   unsigned parallel_axes = 0;  // bit i: the ray runs (almost) parallel to the faces of axis i
+  Vec3 reciprocal{0.0F};       // of the direction on the other axes
   std::optional<KernelRay> kernel_ray{};  // made when the first resident voxel is met
   // The best hit's place, while its mesh is pinned by the guard.
   const MeshArrays* arrays = nullptr;
@@ -114,9 +116,45 @@ bool own_box_admits(const QueryContext& context, const MeshArrays& arrays, std::
   return true;
 }
 
-bool is_ambiguous(const QueryContext& context, const MeshArrays& arrays, std::uint32_t primitive,
-                  float t) {
-  return context.parallel_axes != 0 && !own_box_admits(context, arrays, primitive, t);
+// Where the ray enters and leaves the triangle's own box, by the axes that it is not parallel to.
+Interval own_box_span(const QueryContext& context, const MeshArrays& arrays,
+                      std::uint32_t primitive) {
+  const Vec3 a = vertex_at(arrays, primitive, 0);
+  const Vec3 b = vertex_at(arrays, primitive, 1);
+  const Vec3 c = vertex_at(arrays, primitive, 2);
+  const Vec3 low = (glm::min(glm::min(a, b), c) - context.query->ray.origin) * context.reciprocal;
+  const Vec3 high = (glm::max(glm::max(a, b), c) - context.query->ray.origin) * context.reciprocal;
+  Interval span{-kInfinity, kInfinity};
+  for (int axis = 0; axis < 3; ++axis) {
+    if ((context.parallel_axes >> axis & 1U) != 0) { continue; }
+    span.t_enter = std::max(span.t_enter, std::min(low[axis], high[axis]));
+    span.t_exit = std::min(span.t_exit, std::max(low[axis], high[axis]));
+  }
+  return span;
+}
+
+// Of a slab test's exit, behind which an entry means a miss: its rounding (pbrt-v4 section 6.1.2: 1
+// + 2 gamma(3)). Embree's robust boxes and voxel_kernel_body.h allow for twice as much and more.
+constexpr float kSlabRounding = 1.00000036F;
+
+// The t by which a hit is compared; nothing if it does not count. A triangle that a ray grazes or
+// passes within its edge's rounding can be met where the ray is not in the triangle's own box, and
+// whether larger boxes around it are entered in time is then the layout's choice. So a hit whose
+// own box is missed or lies outside the ray's range does not count, and none is nearer than its
+// box: whatever counts lies behind the entry of every box around it.
+std::optional<float> settled(const QueryContext& context, const MeshArrays& arrays,
+                             std::uint32_t primitive, float t) {
+  if (context.parallel_axes != 0 && !own_box_admits(context, arrays, primitive, t)) {
+    return std::nullopt;
+  }
+  const Interval span = own_box_span(context, arrays, primitive);
+  const float nearest = span.t_enter > half_widened(t) ? span.t_enter : t;
+  const Ray& ray = context.query->ray;
+  if (span.t_enter > span.t_exit * kSlabRounding || nearest > ray.t_max ||
+      span.t_enter > ray.t_max || span.t_exit < ray.t_min) {
+    return std::nullopt;
+  }
+  return nearest;
 }
 
 // The best triangle so far. Looked up when needed, as its line is rarely at hand.
@@ -125,31 +163,40 @@ std::uint32_t best_triangle(const QueryContext& context) {
                                    : context.arrays->triangles[context.primitive];
 }
 
-// Keeps the hit if it is the lowest; returns how far candidates may lie from now on.
+bool is_lowest(const QueryContext& context, const MeshArrays& arrays, std::uint32_t primitive,
+               float t) {
+  const float t_best = context.query->t_best;
+  return t < t_best || (t == t_best && arrays.triangles[primitive] < best_triangle(context));
+}
+
+// Keeps the hit if it counts and is the lowest; returns how far candidates may lie from now on.
 float keep_lowest(QueryContext& context, const MeshArrays& arrays, std::uint32_t primitive, float t,
                   float u, float v) {
   RayQuery& query = *context.query;
-  if (t < query.t_best ||
-      (t == query.t_best && arrays.triangles[primitive] < best_triangle(context))) {
-    query.t_best = t;
-    context.arrays = &arrays;
-    context.primitive = primitive;
-    // The surface is likely to be asked for, and its lines are far.
-    _mm_prefetch(&arrays.indices[std::size_t{primitive} * 3], _MM_HINT_T0);
-    _mm_prefetch(&arrays.materials[primitive], _MM_HINT_T0);
-    _mm_prefetch(&arrays.triangles[primitive], _MM_HINT_T0);
-    context.u = u;
-    context.v = v;
+  // What is settled is never nearer.
+  if (is_lowest(context, arrays, primitive, t)) {
+    const std::optional<float> t_settled = settled(context, arrays, primitive, t);
+    if (t_settled && is_lowest(context, arrays, primitive, *t_settled)) {
+      query.t_best = *t_settled;
+      context.arrays = &arrays;
+      context.primitive = primitive;
+      // The surface is likely to be asked for, and its lines are far.
+      _mm_prefetch(&arrays.indices[std::size_t{primitive} * 3], _MM_HINT_T0);
+      _mm_prefetch(&arrays.materials[primitive], _MM_HINT_T0);
+      _mm_prefetch(&arrays.triangles[primitive], _MM_HINT_T0);
+      context.u = u;
+      context.v = v;
+    }
   }
   return std::min(widened(query.t_best), query.ray.t_max);
 }
 
-void refuse_ambiguous_blocker(const RTCFilterFunctionNArguments* arguments) {
+void refuse_unsettled_blocker(const RTCFilterFunctionNArguments* arguments) {
   const auto& context = *static_cast<const QueryContext*>(arguments->context);
   const auto& arrays = *static_cast<const MeshArrays*>(arguments->geometryUserPtr);
   const auto& ray = *reinterpret_cast<const RTCRay*>(arguments->ray);
   const auto& hit = *reinterpret_cast<const RTCHit*>(arguments->hit);
-  if (is_ambiguous(context, arrays, hit.primID, ray.tfar)) { arguments->valid[0] = 0; }
+  if (!settled(context, arrays, hit.primID, ray.tfar)) { arguments->valid[0] = 0; }
 }
 
 void filter_closest(const RTCFilterFunctionNArguments* arguments) {
@@ -157,10 +204,6 @@ void filter_closest(const RTCFilterFunctionNArguments* arguments) {
   const auto& arrays = *static_cast<const MeshArrays*>(arguments->geometryUserPtr);
   auto& ray = *reinterpret_cast<RTCRay*>(arguments->ray);
   const auto& hit = *reinterpret_cast<const RTCHit*>(arguments->hit);
-  if (is_ambiguous(context, arrays, hit.primID, ray.tfar)) {
-    arguments->valid[0] = 0;
-    return;
-  }
   ray.tfar = keep_lowest(context, arrays, hit.primID, ray.tfar, hit.u, hit.v);
 }
 
@@ -174,7 +217,7 @@ RTCGeometry new_triangle_geometry(RTCDevice device, const MeshArrays& arrays) {
                              arrays.triangles.size());
   rtcSetGeometryUserData(embree, const_cast<MeshArrays*>(&arrays));
   rtcSetGeometryIntersectFilterFunction(embree, filter_closest);
-  rtcSetGeometryOccludedFilterFunction(embree, refuse_ambiguous_blocker);
+  rtcSetGeometryOccludedFilterFunction(embree, refuse_unsettled_blocker);
   rtcSetGeometryMask(embree, 0xFFFFFFFFU);
   rtcCommitGeometry(embree);
   return embree;
@@ -414,15 +457,13 @@ struct MeshQuery {
 
 float on_closest(void* user, std::uint32_t primitive, float t, float u, float v) {
   auto& query = *static_cast<MeshQuery*>(user);
-  if (!is_ambiguous(query.context, query.arrays, primitive, t)) {
-    query.t_far = keep_lowest(query.context, query.arrays, primitive, t, u, v);
-  }
+  query.t_far = keep_lowest(query.context, query.arrays, primitive, t, u, v);
   return query.t_far;
 }
 
 float on_blocker(void* user, std::uint32_t primitive, float t, float /*u*/, float /*v*/) {
   auto& query = *static_cast<MeshQuery*>(user);
-  if (!is_ambiguous(query.context, query.arrays, primitive, t)) { query.t_far = -kInfinity; }
+  if (settled(query.context, query.arrays, primitive, t)) { query.t_far = -kInfinity; }
   return query.t_far;
 }
 
@@ -484,6 +525,7 @@ QueryContext make_context(const Residency::Impl& residency, RayQuery& query, Vox
   context.query = &query;
   context.uses = &uses;
   context.parallel_axes = parallel_axes(query.ray.direction);
+  context.reciprocal = 1.0F / query.ray.direction;
   return context;
 }
 

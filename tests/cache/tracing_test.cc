@@ -270,6 +270,79 @@ TEST(Residency, FindsWhatASearchOfAllTrianglesInDoubleFinds) {
   EXPECT_GT(clear, 150000);
 }
 
+// Bars with faces in axis planes: where two faces meet, a ray within the rounding of their edge can
+// be found to meet one whose own box, which is flat, it passes by.
+Scene bars(std::size_t count, SoupRandom& random) {
+  Scene scene = test::empty_scene();
+  for (std::size_t bar = 0; bar < count; ++bar) {
+    const Vec3 low = random.in_cube(-0.9F, 0.8F);
+    const Vec3 high = low + 0.01F + random.in_cube(0.0F, 0.09F) * random.in_cube(0.0F, 1.0F);
+    const auto corner = [&](unsigned at) {
+      return Vec3((at & 1U) != 0 ? high.x : low.x, (at & 2U) != 0 ? high.y : low.y,
+                  (at & 4U) != 0 ? high.z : low.z);
+    };
+    for (unsigned axis = 0; axis < 3; ++axis) {
+      const unsigned u = 1U << (axis + 1) % 3;
+      const unsigned v = 1U << (axis + 2) % 3;
+      for (const unsigned side : {0U, 1U << axis}) {
+        test::add_triangle(scene, corner(side), corner(side + u), corner(side + u + v));
+        test::add_triangle(scene, corner(side), corner(side + u + v), corner(side + v));
+      }
+    }
+  }
+  return scene;
+}
+
+TEST(Residency, GivesTheSameBitsInEveryLayoutAtTheEdgesOfBars) {
+  const auto seed = static_cast<std::uint32_t>(std::random_device{}());
+  std::cout << "seed=" << seed << '\n';
+  SoupRandom random(seed);
+  const Scene scene = bars(100, random);
+  const GridStore store = test::cut_into_grid(scene, 8);
+  Layout hot(store, every_voxel(store, 1), 0);
+  Layout mixed(store, every_voxel(store, 3), store.blocks.size());
+  Layout cold(store, {}, store.blocks.size());
+
+  std::size_t different = 0;
+  for (int ray_index = 0; ray_index < 200000; ++ray_index) {
+    const auto id = random.below(static_cast<std::uint32_t>(scene.triangles.size()));
+    const auto vertex = [&](unsigned corner) {
+      return scene.positions[scene.triangles[id].vertices[corner]];
+    };
+    const unsigned first = random.below(3);
+    const Vec3 at = glm::mix(vertex(first), vertex((first + 1) % 3), random.in(0.0F, 1.0F));
+    // Near or far, and at times hardly above the plane of a face.
+    Vec3 away = unit_direction(random) * std::exp(random.in(-6.0F, 0.0F));
+    away[static_cast<int>(random.below(3))] *= random.below(2) == 0 ? 1.0F : 0.01F;
+    const Ray ray{at + away, glm::normalize(-away)};
+    const Outcome expected = hot.trace(ray);
+    different += same_bits(expected, mixed.trace(ray)) ? 0U : 1U;
+    different += same_bits(expected, cold.trace(ray)) ? 0U : 1U;
+  }
+
+  EXPECT_EQ(different, 0U);
+}
+
+// A ray past the upright face of a step at 10^-7 of its size, which its edge's rounding takes for a
+// hit; it meets the tread.
+TEST(Residency, DoesNotMeetATriangleWhoseOwnBoxTheRayPassesBy) {
+  Scene scene = test::empty_scene();
+  constexpr float kX = 0x1.ccccccp-4F;
+  constexpr float kY0 = -0x1.733334p-2F;
+  constexpr float kY1 = 0x1.d1eb86p-3F;
+  constexpr float kZ = -0x1.3c28f6p-1F;
+  test::add_triangle(scene, {kX, kY0, -0x1.6147aep-1F}, {kX, kY1, kZ}, {kX, kY0, kZ});
+  test::add_triangle(scene, {0x1.ae147ap-4F, kY0, kZ}, {kX, kY0, kZ}, {kX, kY1, kZ});
+  const GridStore store = test::cut_into_grid(scene, 2);
+  const Ray ray{{0x1.01e39cp-3F, -0x1.733e6p-2F, -0x1.3b788cp-1F},
+                {-0x1.20392cp-2F, 0x1.eb166ep-1F, -0x1.ce6c2ep-6F}};
+  Layout hot(store, every_voxel(store, 1), 0);
+  Layout cold(store, {}, 1);
+
+  EXPECT_EQ(hot.trace(ray).triangle, 1U);
+  EXPECT_EQ(cold.trace(ray).triangle, 1U);
+}
+
 TEST(Residency, TakesTheLowestIdOfCoincidentTriangles) {
   Scene scene = test::empty_scene();
   for (int copy = 0; copy < 9; ++copy) {
