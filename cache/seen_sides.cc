@@ -6,8 +6,8 @@ namespace {
 // Less than a handful of sights says nothing.
 constexpr double kFrontMin = 2.0;
 
-// Closed bodies of the shared scenes, a golf ball and a helmet, show backs by up to 0.08 of what
-// they show of their fronts, by their outlines; where windings disagree it is mostly 0.4 and more.
+// Closed bodies, a golf ball and a helmet, show backs by up to 0.08 of what they show of their
+// fronts, by their outlines; where windings disagree it is mostly 0.4 and more.
 constexpr double kBackShareMax = 0.2;
 
 }  // namespace

@@ -8,12 +8,14 @@
 # PREHEAT is the program on this machine (build/release/bin/preheat). Builds the image, unit tests
 # included, and ends with one line "N passed, N failed"; 1 if any failed, 77 and the reason if this
 # machine cannot run containers. --no-unit-tests leaves them out of the image, for where the same
-# commit is tested beside it; --brief, too, and renders once with two workers.
+# commit is tested beside it; --brief runs those of the tracer, and renders once with two workers.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 brief=no unit_tests=all
-[[ ${1:-} == --brief ]] && brief=yes
-[[ ${1:-} == --brief || ${1:-} == --no-unit-tests ]] && { unit_tests=none; shift; }
+case ${1:-} in
+  --brief) brief=yes unit_tests=tracing; shift ;;
+  --no-unit-tests) unit_tests=none; shift ;;
+esac
 program=${1:-build/release/bin/preheat}
 
 source docker/checks.sh
@@ -29,7 +31,8 @@ printf 'built, unit tests: %s, in %s s, %s MB\n' "$unit_tests" "$((SECONDS - sta
 scratch=$(mktemp -d)
 chmod 755 "$scratch"
 export COMPOSE_PROJECT_NAME=preheat-test-$$ PREHEAT_IMAGE=preheat
-export PREHEAT_SCENE=demo:50000
+# 20 MB if all were held: what is fetched again and again has to agree, too.
+export PREHEAT_SCENE=demo:50000 PREHEAT_CACHE=8MiB
 [[ $brief == yes ]] && spp=24 || spp=32
 settings="--size 320x216 --spp $spp --bounces 8 --tile-size 16"
 export PREHEAT_ARGS=$settings

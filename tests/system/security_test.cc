@@ -366,7 +366,7 @@ TEST_F(Security, StatusIsToldToTheMastersOwnKeyOnly) {
   const auto answer = nlohmann::json::parse(std::ifstream(path("status_answer.json")));
   EXPECT_EQ(answer["phase"], "waiting");
   EXPECT_EQ(answer["tiles"]["done"], 0);
-  EXPECT_EQ(answer["tiles"]["total"], 4);
+  EXPECT_EQ(answer["tiles"]["total"], 48);  // of 8x8
   EXPECT_EQ(answer["workers"]["here"], 0);
   EXPECT_TRUE(answer["hit_rate"].is_null());
 
