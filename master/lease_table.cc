@@ -114,7 +114,7 @@ std::vector<TileId> LeaseTable::last_tiles(Time now) const {
   };
   std::vector<Last> last;
   for (const auto& [worker, holder] : holders_) {
-    const Duration left = holder.tile_length(now) * static_cast<int>(holder.live.size());
+    const Duration left = holder.time_left(now);
     for (const LeaseId lease : holder.live) {
       const Record& record = leases_.at(lease);
       if (is_last(record.tile)) { last.push_back({left, record.number, record.tile}); }
@@ -136,7 +136,7 @@ std::optional<Lease> LeaseTable::grant_second(WorkerId worker, TileId tile, Time
   if (!is_last(tile) || holds_suspect(entry->second)) { return std::nullopt; }
   const Record& first = leases_.at(tiles_[index_of(tile)].live.front());
   const Holder& other = holders_.at(first.worker);
-  const Duration left = other.tile_length(now) * static_cast<int>(other.live.size());
+  const Duration left = other.time_left(now);
   if (first.worker == worker || entry->second.tile_length(now) >= left) { return std::nullopt; }
   ++stats_.doubled;
   return add_lease(worker, tile, now);

@@ -125,6 +125,10 @@ class LeaseTable {
     [[nodiscard]] Duration tile_length(Time now) const {
       return begin ? (now - *begin) / std::max(1U, results) : Duration{};
     }
+    // Until its last tile is done.
+    [[nodiscard]] Duration time_left(Time now) const {
+      return tile_length(now) * static_cast<int>(live.size());
+    }
   };
   struct Death {
     WorkerId worker{};
