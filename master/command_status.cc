@@ -11,8 +11,8 @@
 #include "common/codec.h"
 #include "common/secure_transport.h"
 #include "common/zmq_transport.h"
+#include "master/command_line.h"
 #include "master/commands.h"
-#include "master/options.h"
 
 namespace preheat {
 namespace {

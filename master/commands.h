@@ -1,12 +1,15 @@
 // The subcommands of `preheat`, one file each.
 #pragma once
 
-#include <CLI/CLI.hpp>
 #include <functional>
 #include <nlohmann/json_fwd.hpp>
 #include <string>
 
 #include "common/result.h"
+
+namespace CLI {
+class App;
+}
 
 namespace preheat {
 

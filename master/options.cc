@@ -7,6 +7,8 @@
 #include <cmath>
 #include <string_view>
 
+#include "master/command_line.h"
+
 namespace preheat {
 namespace {
 

@@ -2,11 +2,9 @@
 // is a usage error that names the thing, the limit and the value.
 #pragma once
 
-#include <CLI/CLI.hpp>
 #include <cstdint>
 #include <optional>
 #include <string>
-#include <utility>
 
 #include "common/byte_size.h"
 #include "common/limits.h"
@@ -14,6 +12,10 @@
 #include "common/secure_transport.h"
 #include "common/vec3.h"
 #include "master/master.h"
+
+namespace CLI {
+class App;
+}
 
 namespace preheat {
 
@@ -39,28 +41,6 @@ inline constexpr unsigned kWorkersMax = 256;
 [[nodiscard]] Result<AccessCounting> parse_access_counting(const std::string& text);
 // "tcp://HOST:PORT", a port in 1..65535, * or 0 (any free one).
 [[nodiscard]] Result<std::string> parse_address(const std::string& text);
-
-// An option whose text `parse` turns into `target`; a parse error is the option's.
-template <class Target, class Value>
-CLI::Option* add_parsed_option(CLI::App& app, const std::string& name, Target& target,
-                               Result<Value> (*parse)(const std::string&),
-                               const std::string& help) {
-  const auto set = [&target, parse, name](const std::string& text) {
-    Result<Value> value = parse(text);
-    if (!value) { throw CLI::ValidationError(name, value.error().message); }
-    target = *std::move(value);
-  };
-  return app.add_option_function<std::string>(name, set, help);
-}
-
-// A check whose limits the help does not spell out beside every option.
-template <class Number>
-CLI::Validator in_range(Number low, Number high) {
-  return CLI::Range(low, high).description("");
-}
-
-// --keys, or the environment's PREHEAT_KEYS.
-CLI::Option* add_keys_option(CLI::App& app, SecurityOptions& security);
 
 // From where, how large and how well to look. What is absent is decided by the scene.
 struct ViewOptions {

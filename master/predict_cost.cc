@@ -10,7 +10,7 @@
 
 #include "cache/preload_plan.h"
 #include "common/limits.h"
-#include "master/options.h"
+#include "master/command_line.h"
 
 namespace preheat {
 

@@ -1,7 +1,6 @@
 // What a prediction means for a render: seconds of tracing and bytes over the network.
 #pragma once
 
-#include <CLI/CLI.hpp>
 #include <nlohmann/json_fwd.hpp>
 #include <string>
 
@@ -10,6 +9,10 @@
 #include "common/result.h"
 #include "common/scene_tables.h"
 #include "master/master.h"
+
+namespace CLI {
+class App;
+}
 
 namespace preheat {
 

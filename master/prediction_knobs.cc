@@ -9,7 +9,7 @@
 #include "cache/direction_bins.h"
 #include "common/limits.h"
 #include "common/octree_summary.h"
-#include "master/options.h"
+#include "master/command_line.h"
 
 namespace preheat {
 namespace {

@@ -1,11 +1,14 @@
 // The knobs of the prediction models as command-line options.
 #pragma once
 
-#include <CLI/CLI.hpp>
 #include <string>
 
 #include "cache/prediction.h"
 #include "common/result.h"
+
+namespace CLI {
+class App;
+}
 
 namespace preheat {
 

@@ -1,5 +1,6 @@
 #include "tests/bench/bench_scene.h"
 
+#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <filesystem>
 #include <thread>

@@ -2,7 +2,6 @@
 // replay a trace begin with.
 #pragma once
 
-#include <CLI/CLI.hpp>
 #include <string>
 #include <vector>
 
@@ -11,6 +10,10 @@
 #include "cache/voxel_cache.h"
 #include "master/view.h"
 #include "tests/bench/access_trace.h"
+
+namespace CLI {
+class App;
+}
 
 namespace preheat {
 
