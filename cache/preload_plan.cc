@@ -4,6 +4,7 @@
 #include <numeric>
 
 #include "cache/tracing.h"
+#include "common/voxel_block.h"
 
 namespace preheat {
 namespace {
@@ -144,9 +145,10 @@ std::uint64_t budget_auto(const std::vector<VoxelEntry>& voxels,
   for (const std::uint32_t voxel : unseen) { needed += cold_bytes(voxels[voxel]); }
   std::uint64_t hot_bytes = 0;
   for (const std::uint32_t voxel : order) {
-    needed += voxels[voxel].resident_bytes - cold_bytes(voxels[voxel]);
+    const std::uint64_t bytes = voxels[voxel].hot_bytes();
+    needed += bytes - std::min(bytes, cold_bytes(voxels[voxel]));
     if (needed > cache_limit_bytes) { break; }
-    hot_bytes += voxels[voxel].resident_bytes;
+    hot_bytes += bytes;
   }
   return std::max(hot_bytes, share_of(cache_limit_bytes, kShareOfSmallCache));
 }
@@ -168,11 +170,12 @@ void add_warm(PreloadPlan& plan, const SceneTables& tables, const std::vector<st
 }  // namespace
 
 PreloadPlan plan_preload(const SceneTables& tables, const Prediction& prediction,
-                         std::uint64_t cache_limit_bytes, double share) {
+                         std::uint64_t cache_bytes, double share) {
+  const std::uint64_t cache_limit_bytes = cache_bytes - std::min(cache_bytes, kBvhBytesFixed);
   const std::size_t voxel_count = tables.voxels.size();
   std::vector<double> rays_per_byte(voxel_count, 0.0);
   for (std::size_t voxel = 0; voxel < voxel_count; ++voxel) {
-    const auto bytes = std::max<std::uint64_t>(1, tables.voxels[voxel].resident_bytes);
+    const auto bytes = std::max<std::uint64_t>(1, tables.voxels[voxel].hot_bytes());
     rays_per_byte[voxel] = prediction.rays(voxel) / static_cast<double>(bytes);
   }
   std::vector<std::uint32_t> order(voxel_count);
@@ -191,7 +194,7 @@ PreloadPlan plan_preload(const SceneTables& tables, const Prediction& prediction
   LargestCold largest_cold(tables.voxels);
   PreloadPlan plan;
   for (const std::uint32_t voxel : order) {
-    const std::uint64_t bytes = tables.voxels[voxel].resident_bytes;
+    const std::uint64_t bytes = tables.voxels[voxel].hot_bytes();
     if (bytes > budget - plan.hot_bytes) { continue; }
     const std::uint64_t room_left = cache_limit_bytes - plan.hot_bytes - bytes;
     if (largest_cold.bytes_without(voxel) > room_left) { continue; }

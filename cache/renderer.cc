@@ -332,6 +332,7 @@ void Renderer::Impl::run_builder() {
 }
 
 void Renderer::Impl::build_hot_set() {
+  hot_mesh_->all_added();
   hot_device_.reset_peak();
   std::vector<VoxelId> cold;
   for (std::size_t voxel = 0; voxel < is_hot_.size(); ++voxel) {
@@ -346,9 +347,9 @@ void Renderer::Impl::build_hot_set() {
     return;
   }
   // The boxes of the cold voxels are part of every worker's fixed memory, not of the cache.
-  std::uint64_t promised = 0;
+  std::uint64_t promised = cold.size() < is_hot_.size() ? kBvhBytesFixed : 0;
   for (std::size_t voxel = 0; voxel < is_hot_.size(); ++voxel) {
-    if (is_hot_[voxel]) { promised += tables_.voxels[voxel].resident_bytes; }
+    if (is_hot_[voxel]) { promised += tables_.voxels[voxel].hot_bytes(); }
   }
   hot_bytes_ = std::min(promised, hot_mesh_->bytes() + hot_device_.bytes());
   build_peak_bytes_ = std::max(build_peak_bytes_, hot_device_.bytes_peak() - hot_device_.bytes());

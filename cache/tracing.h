@@ -126,6 +126,8 @@ class HotMesh {
   // Room for the given voxels of the directory; never reallocates.
   HotMesh(const SceneTables& tables, std::span<const VoxelId> voxels);
   void add(const VoxelBlockView& block);
+  // Frees what only add() needs.
+  void all_added() { seen_ = {}; }
   [[nodiscard]] MeshArrays arrays() const;
   [[nodiscard]] std::uint64_t bytes() const;
 

@@ -2,7 +2,13 @@
 
 #include <algorithm>
 
+#include "common/voxel_block.h"
+
 namespace preheat {
+
+std::uint64_t VoxelEntry::hot_bytes() const {
+  return block_bytes + kBvhBytesPerTriangle * triangle_count;
+}
 
 std::uint64_t SceneTables::resident_bytes() const {
   std::uint64_t sum = 0;

@@ -38,6 +38,9 @@ struct VoxelEntry {
   std::uint32_t triangle_count = 0;
   std::uint64_t resident_bytes = 0;  // held built: the block and an upper bound of its BVH
   Hash128 hash{};                    // of the block's bytes
+
+  // An upper bound of what the voxel adds to a hot set, whose one BVH has kBvhBytesFixed only once.
+  [[nodiscard]] std::uint64_t hot_bytes() const;
 };
 
 // Voxel bounds are grown by 2^-20 scene units, some eight times the rounding of a coordinate of

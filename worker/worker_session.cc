@@ -7,6 +7,7 @@
 #include <cstring>
 
 #include "common/scene_tables_codec.h"
+#include "common/voxel_block.h"
 
 namespace preheat {
 namespace {
@@ -252,7 +253,7 @@ void WorkerSession::take_tables(const FetchedObject& object, Time now) {
   }
   voxels_.reserve(tables->voxels.size());
   for (const VoxelEntry& voxel : tables->voxels) {
-    voxels_.push_back({voxel.block_bytes, voxel.resident_bytes, voxel.hash});
+    voxels_.push_back({voxel.block_bytes, voxel.hot_bytes(), voxel.hash});
   }
   RendererOptions options;
   options.threads = hello_.threads;
@@ -294,11 +295,11 @@ void WorkerSession::take_plan(const FetchedObject& object, Time now) {
 void WorkerSession::begin_preload(SetHotVoxels hot, Time now) {
   hot_known_ = true;
   hot_missing_count_ = hot.voxels.size();
-  hot_resident_bytes_ = 0;
+  hot_resident_bytes_ = hot.voxels.empty() ? 0 : kBvhBytesFixed;
   std::uint64_t block_bytes = 0;
   for (const VoxelId voxel : hot.voxels) {
     hot_missing_[index_of(voxel)] = true;
-    hot_resident_bytes_ += voxels_[index_of(voxel)].resident_bytes;
+    hot_resident_bytes_ += voxels_[index_of(voxel)].hot_bytes;
     block_bytes += voxels_[index_of(voxel)].block_bytes;
   }
   // Until the hot BVH is built its bytes are free for blocks to pass on.

@@ -188,7 +188,7 @@ class WorkerSession {
   ResultSender results_;
   struct VoxelName {
     std::uint32_t block_bytes = 0;
-    std::uint64_t resident_bytes = 0;
+    std::uint64_t hot_bytes = 0;
     Hash128 hash{};
   };
   std::vector<VoxelName> voxels_;  // [voxel_count]

@@ -7,6 +7,7 @@
 #include <random>
 
 #include "cache/tracing.h"
+#include "common/voxel_block.h"
 
 namespace preheat {
 namespace {
@@ -25,23 +26,30 @@ SceneTables tables_of(const std::vector<Voxel>& voxels) {
   SceneTables tables;
   for (const Voxel& voxel : voxels) {
     tables.voxels.emplace_back();
+    tables.voxels.back().block_bytes = static_cast<std::uint32_t>(voxel.bytes);
     tables.voxels.back().resident_bytes = voxel.bytes;
   }
   return tables;
 }
 
-PreloadPlan plan(const std::vector<Voxel>& voxels, std::uint64_t cache_limit_bytes, double share) {
+// `cache_bytes` beside what the hot set's BVH has whatever is in it.
+PreloadPlan plan_beside_fixed(const SceneTables& tables, const Prediction& prediction,
+                              std::uint64_t cache_bytes, double share) {
+  return plan_preload(tables, prediction, kBvhBytesFixed + cache_bytes, share);
+}
+
+PreloadPlan plan(const std::vector<Voxel>& voxels, std::uint64_t cache_bytes, double share) {
   Prediction prediction;
   for (const Voxel& voxel : voxels) { prediction.rays_camera.push_back(voxel.rays); }
   prediction.rays_scatter.resize(voxels.size(), 0.0);
   prediction.rays_shadow.resize(voxels.size(), 0.0);
-  return plan_preload(tables_of(voxels), prediction, cache_limit_bytes, share);
+  return plan_beside_fixed(tables_of(voxels), prediction, cache_bytes, share);
 }
 
 TEST(PreloadPlan, TakesTheMostRaysPerByteFirst) {
   const std::vector<Voxel> voxels{{10.0, 10}, {30.0, 10}, {40.0, 20}, {5.0, 1}, {0.0, 10}};
 
-  const PreloadPlan result = plan(voxels, /*cache_limit_bytes=*/31 + 10, /*share=*/1.0);
+  const PreloadPlan result = plan(voxels, /*cache_bytes=*/31 + 10, /*share=*/1.0);
 
   EXPECT_THAT(result.hot, ElementsAre(VoxelId{3}, VoxelId{1}, VoxelId{2}));
   EXPECT_EQ(result.hot_bytes, 31U);
@@ -50,7 +58,7 @@ TEST(PreloadPlan, TakesTheMostRaysPerByteFirst) {
 TEST(PreloadPlan, BreaksTiesByVoxelId) {
   const std::vector<Voxel> voxels{{2.0, 20}, {1.0, 10}, {3.0, 30}, {1.0, 10}};
 
-  const PreloadPlan result = plan(voxels, /*cache_limit_bytes=*/100, /*share=*/1.0);
+  const PreloadPlan result = plan(voxels, /*cache_bytes=*/100, /*share=*/1.0);
 
   EXPECT_THAT(result.hot, ElementsAre(VoxelId{0}, VoxelId{1}, VoxelId{2}, VoxelId{3}));
 }
@@ -68,11 +76,13 @@ TEST(PreloadPlan, HoldsEverythingWhereTheCacheDoes) {
   const std::vector<Voxel> voxels{{1.0, 10}, {2.0, 90}, {1.0, 20}};
 
   EXPECT_EQ(plan(voxels, 120, kAuto).hot_bytes, 120U);
-  EXPECT_EQ(plan(voxels, std::numeric_limits<std::uint64_t>::max(), kAuto).hot_bytes, 120U);
+  EXPECT_EQ(
+      plan(voxels, std::numeric_limits<std::uint64_t>::max() - kBvhBytesFixed, kAuto).hot_bytes,
+      120U);
 }
 
 TEST(PreloadPlan, LeavesRoomForEveryVoxelThatRaysAreExpectedToEnter) {
-  // 40 bytes a triangle in the block, 100 more in the hot BVH, as real voxels have.
+  // 40 bytes a triangle in the block, as real voxels have.
   SceneTables tables;
   Prediction prediction;
   constexpr std::uint32_t kTriangles = 1000;
@@ -80,22 +90,22 @@ TEST(PreloadPlan, LeavesRoomForEveryVoxelThatRaysAreExpectedToEnter) {
     tables.voxels.emplace_back();
     tables.voxels.back().triangle_count = kTriangles;
     tables.voxels.back().block_bytes = 40 * kTriangles;
-    tables.voxels.back().resident_bytes = 140 * kTriangles;
+    tables.voxels.back().resident_bytes = 138 * kTriangles + kBvhBytesFixed;
     prediction.rays_camera.push_back(voxel < 80 ? 100.0 - voxel : 0.0);
   }
   prediction.rays_scatter.resize(100, 0.0);
   prediction.rays_shadow.resize(100, 0.0);
   const std::uint64_t cold_bytes = 40 * kTriangles + VoxelMesh::bytes_max(kTriangles);
   const auto hot_count = [&](std::uint64_t limit) {
-    return plan_preload(tables, prediction, limit, kAuto).hot.size();
+    return plan_beside_fixed(tables, prediction, limit, kAuto).hot.size();
   };
 
   // All 80 fit cold, with room to make 60 of them hot.
-  const std::uint64_t limit = 60 * tables.voxels[0].resident_bytes + 20 * cold_bytes;
+  const std::uint64_t limit = 60 * tables.voxels[0].hot_bytes() + 20 * cold_bytes;
   EXPECT_EQ(hot_count(limit), 60U);
   EXPECT_EQ(hot_count(limit - 1), 59U);
   // Not even half of them fit: three tenths of the room.
-  EXPECT_EQ(hot_count(40 * cold_bytes), 40 * cold_bytes * 3 / 10 / tables.voxels[0].resident_bytes);
+  EXPECT_EQ(hot_count(40 * cold_bytes), 40 * cold_bytes * 3 / 10 / tables.voxels[0].hot_bytes());
 }
 
 TEST(PreloadPlan, WarmsWhatTheRestHasRoomForByRaysPerByte) {
@@ -106,15 +116,15 @@ TEST(PreloadPlan, WarmsWhatTheRestHasRoomForByRaysPerByte) {
     tables.voxels.emplace_back();
     tables.voxels.back().triangle_count = kTriangles;
     tables.voxels.back().block_bytes = 40 * kTriangles;
-    tables.voxels.back().resident_bytes = 140 * kTriangles;
+    tables.voxels.back().resident_bytes = 138 * kTriangles + kBvhBytesFixed;
     prediction.rays_camera.push_back(rays);
   }
   prediction.rays_scatter.resize(6, 0.0);
   prediction.rays_shadow.resize(6, 0.0);
   const std::uint64_t cold_bytes = 40 * kTriangles + VoxelMesh::bytes_max(kTriangles);
-  const std::uint64_t hot_bytes = tables.voxels[0].resident_bytes;
+  const std::uint64_t hot_bytes = tables.voxels[0].hot_bytes();
   const auto plan = [&](std::uint64_t limit, double share) {
-    return plan_preload(tables, prediction, limit, share);
+    return plan_beside_fixed(tables, prediction, limit, share);
   };
 
   // Everything that rays are expected to enter fits, one voxel of it hot; half a ray is none.
@@ -140,7 +150,7 @@ struct EightVoxels {
       entry.bounds = {{0.0F, 0.0F, 0.0F}, {extent, extent, extent}};
       entry.triangle_count = kTriangles;
       entry.block_bytes = 40 * kTriangles;
-      entry.resident_bytes = 140 * kTriangles;
+      entry.resident_bytes = 138 * kTriangles + kBvhBytesFixed;
       tables.voxels.push_back(entry);
     }
     tables.voxel_nodes.push_back({{}, 1, 2});
@@ -159,7 +169,7 @@ struct EightVoxels {
     return tables.voxels[0].block_bytes + VoxelMesh::bytes_max(tables.voxels[0].triangle_count);
   }
   [[nodiscard]] std::vector<VoxelId> warm(std::uint64_t limit) const {
-    return plan_preload(tables, prediction, limit, kAuto).warm;
+    return plan_beside_fixed(tables, prediction, limit, kAuto).warm;
   }
 };
 

@@ -384,6 +384,27 @@ TEST(Residency, AnyHitThatFoundABlockerWaitsForNothing) {
   EXPECT_TRUE(query.blocked);
 }
 
+TEST(HotMesh, StaysWithinTheBytesOfItsVoxelsHoweverManyTheyAre) {
+  const GridStore store = test::cut_into_grid(test::soup(9000, 0.05F, 7), 10);
+  for (std::size_t count = 1; count <= store.blocks.size(); count += 1 + count / 2) {
+    std::vector<VoxelId> hot(count);
+    std::uint64_t bytes_max = kBvhBytesFixed;
+    for (std::uint32_t id = 0; id < count; ++id) {
+      hot[id] = VoxelId{id};
+      bytes_max += store.tables.voxels[id].hot_bytes();
+    }
+    HotMesh mesh(store.tables, hot);
+    for (const VoxelId voxel : hot) { mesh.add(store.view(voxel)); }
+    mesh.all_added();
+    ResidentTable table(store.blocks.size(), 1);
+    TracingDevice device(1);
+
+    const Residency residency(device, mesh, store.tables, {}, table);
+
+    EXPECT_LE(mesh.bytes() + device.bytes(), bytes_max) << count << " voxels";
+  }
+}
+
 TEST(Accesses, CountEveryVoxelThatTheRayEntersBeforeItsEnd) {
   const auto seed = static_cast<std::uint32_t>(std::random_device{}());
   std::cout << "seed=" << seed << '\n';

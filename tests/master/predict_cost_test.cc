@@ -6,16 +6,19 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 
+#include "common/voxel_block.h"
+
 namespace preheat {
 namespace {
 
-// Three voxels of 1000, 2000 and 4000 bytes, ten times that when built.
+// Three voxels of 1000, 2000 and 4000 bytes, 10.8 times that when hot.
 SceneTables three_voxels() {
   SceneTables tables;
   for (const std::uint32_t bytes : {1000U, 2000U, 4000U}) {
     VoxelEntry entry;
     entry.block_bytes = bytes;
-    entry.resident_bytes = 10 * std::uint64_t{bytes};
+    entry.triangle_count = bytes / 10;
+    entry.resident_bytes = bytes + bvh_bytes_bound(entry.triangle_count);
     tables.voxels.push_back(entry);
   }
   return tables;
@@ -53,8 +56,8 @@ TEST(PredictCost, IsRaysTimesTheSecondsOfOne) {
 TEST(PredictCost, FetchesWhatIsNotHotAndWhatSomeRayEnters) {
   CostOptions options;
   options.workers = 2;
-  options.cache.bytes = 60000;
-  options.preload_share = 0.4;  // 24000 bytes: the two small voxels are not both hot
+  options.cache.bytes = 70000;
+  options.preload_share = 0.4;  // 28000 bytes: the two small voxels are not both hot
 
   const auto forecast =
       forecast_cost(three_voxels(), prediction_of({100.0, 4.0, 0.5}), options, 1e-6, 1);
