@@ -93,7 +93,11 @@ double sky_power(const Vec3& sky, double others) {
 Lights::Lights(const SceneTables& tables, std::span<const PreparedMaterial> materials,
                const Vec3& sky)
     : sky_(glm::max(sky, Vec3(0.0F))) {
+  const std::size_t emitter_count = tables.emissive_triangles.size();
   std::vector<double> weights;
+  weights.reserve(emitter_count + tables.lights.size() + 1);
+  triangles_.reserve(emitter_count);
+  triangle_ids_.reserve(emitter_count);
   double sum = 0.0;
   const auto add_weight = [&](double weight) {
     weights.push_back(std::isfinite(weight) ? weight : 0.0);
