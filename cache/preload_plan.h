@@ -20,9 +20,10 @@ struct PreloadPlan {
   std::vector<VoxelId> warm{};
 };
 
-// What of `cache_bytes` may be hot, beside the kBvhBytesFixed of its BVH. `share` in [0,1]; negative = auto: as much as leaves room
-// for every other voxel that rays are expected or likely to enter, and at least 0.3. The rest always holds
-// the largest voxel that is not hot, so that every cache renders. Only auto makes voxels warm.
+// What of `cache_bytes` may be hot, beside the kBvhBytesFixed of its BVH. `share` in [0,1]; negative
+// = auto: as much as leaves room for every other voxel that rays are expected or likely to enter,
+// and at least 0.3. The rest always holds the largest voxel that is not hot, so that every cache
+// renders. Only auto makes voxels warm.
 [[nodiscard]] PreloadPlan plan_preload(const SceneTables& tables, const Prediction& prediction,
                                        std::uint64_t cache_bytes, double share);
 

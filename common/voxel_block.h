@@ -34,12 +34,14 @@ struct VoxelBlockView {
 [[nodiscard]] std::size_t voxel_block_bytes(std::size_t vertex_count, std::size_t triangle_count,
                                             bool has_normals);
 
+// Of the bound below, for a BVH and for each of its triangles.
+inline constexpr std::uint64_t kBvhBytesFixed = 6144;
+inline constexpr std::uint64_t kBvhBytesPerTriangle = 98;
+
 // Never less than what Embree holds for a voxel's BVH (robust, medium quality), in steps of its own
 // allocator. Of 37,000 subtrees of real scenes and hostile soups, 1 to 200,000 triangles, on avx2 and
 // sse4.2 and with 1 and 2 build threads, Embree 3.13 took at most 93 % of it, and in real scenes
 // at most 80 %; above 1,000 triangles the mean is 67 %.
-inline constexpr std::uint64_t kBvhBytesFixed = 6144;
-inline constexpr std::uint64_t kBvhBytesPerTriangle = 98;
 [[nodiscard]] constexpr std::uint64_t bvh_bytes_bound(std::uint64_t triangle_count) {
   return kBvhBytesFixed + kBvhBytesPerTriangle * triangle_count;
 }
