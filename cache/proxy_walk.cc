@@ -205,18 +205,18 @@ class Walker {
         continue;
       }
       std::array<Crossing, 8> children;  // by octant
-      unsigned crossed = 0;
+      unsigned crossed = 0;              // by rank from the nearest octant to the farthest
       std::uint32_t child = node.first;
-      for (unsigned octant = 0; octant < 8; ++octant) {
-        if ((node.child_mask >> octant & 1U) == 0) { continue; }
+      for (unsigned left = node.child_mask; left != 0; left &= left - 1, ++child) {
+        const auto octant = static_cast<unsigned>(std::countr_zero(left));
         const Interval span = slabs_.span(proxy_.nodes[child].bounds);
-        children[octant] = {span.t_enter, span.t_exit, child++};
-        if (!span.is_empty()) { crossed |= 1U << octant; }
+        children[octant] = {span.t_enter, span.t_exit, child};
+        // XOR with the ray's signs turns octants into front-to-back order.
+        crossed |= (span.is_empty() ? 0U : 1U) << (octant ^ nearest_octant_);
       }
-      // XOR with the ray's signs turns octants into front-to-back order; the farthest goes first.
-      for (unsigned order = 8; order-- > 0;) {
-        const unsigned octant = order ^ nearest_octant_;
-        if ((crossed >> octant & 1U) != 0) { pending[pending_count++] = children[octant]; }
+      for (; crossed != 0; crossed &= ~std::bit_floor(crossed)) {  // the farthest goes first
+        const auto rank = static_cast<unsigned>(std::bit_width(crossed)) - 1U;
+        pending[pending_count++] = children[rank ^ nearest_octant_];
       }
     }
   }
