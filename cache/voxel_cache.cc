@@ -157,6 +157,12 @@ void VoxelCache::admit_prefetches(std::vector<Command>& commands) {
   }
 }
 
+bool VoxelCache::is_behind(VoxelId a, VoxelId b) const {
+  const std::uint64_t waiting_a = slots_[index_of(a)].waiting;
+  const std::uint64_t waiting_b = slots_[index_of(b)].waiting;
+  return waiting_a != waiting_b ? waiting_a < waiting_b : a > b;
+}
+
 void VoxelCache::note_what_is_short() {
   constexpr double kOfOneStep = 1.0 / 64.0;
   const auto building = static_cast<double>(under_way_ - fetching_);
@@ -171,23 +177,19 @@ std::vector<VoxelCache::Command> VoxelCache::step() {
     slots_[index_of(voxel)].state = State::kBuilding;
     commands.push_back({Action::kBuild, voxel});
   }
-  std::erase_if(wanted_, [this](VoxelId voxel) { return slots_[index_of(voxel)].waiting == 0; });
-  std::sort(wanted_.begin(), wanted_.end(), [this](VoxelId a, VoxelId b) {
-    const std::uint64_t waiting_a = slots_[index_of(a)].waiting;
-    const std::uint64_t waiting_b = slots_[index_of(b)].waiting;
-    return waiting_a != waiting_b ? waiting_a > waiting_b : a < b;
-  });
-  std::size_t admitted = 0;
-  for (; admitted < wanted_.size() && under_way_ < kCommandsUnderWayMax; ++admitted) {
-    const VoxelId voxel = wanted_[admitted];
-    Slot& slot = slots_[index_of(voxel)];
+  while (!wanted_.empty() && under_way_ < kCommandsUnderWayMax) {
+    const auto first = std::max_element(
+        wanted_.begin(), wanted_.end(), [this](VoxelId a, VoxelId b) { return is_behind(a, b); });
+    const VoxelId voxel = *first;
+    const Slot& slot = slots_[index_of(voxel)];
     if (slot.state == State::kWithdrawing) { break; }
     const std::uint64_t bytes = voxels_[index_of(voxel)].bvh_bytes_max +
                                 (slot.state == State::kRaw ? 0 : block_bytes(voxel));
     if (!make_room(voxel, bytes, commands)) { break; }
+    *first = wanted_.back();
+    wanted_.pop_back();
     admit(voxel, commands);
   }
-  wanted_.erase(wanted_.begin(), wanted_.begin() + static_cast<std::ptrdiff_t>(admitted));
   if (wanted_.empty()) { admit_prefetches(commands); }
   CHECK(held_bytes_ <= promised_bytes_ && promised_bytes_ <= limit_bytes_);
   return commands;

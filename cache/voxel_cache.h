@@ -111,6 +111,8 @@ class VoxelCache {
   [[nodiscard]] bool make_room(VoxelId kept, std::uint64_t bytes, std::vector<Command>& commands);
   [[nodiscard]] std::optional<VoxelId> find_victim(VoxelId kept);
   void note_what_is_short();
+  // Of two that are waited for, whether the first is admitted later.
+  [[nodiscard]] bool is_behind(VoxelId a, VoxelId b) const;
   [[nodiscard]] std::uint64_t block_bytes(VoxelId voxel) const {
     return voxels_[index_of(voxel)].block_bytes;
   }
