@@ -193,11 +193,17 @@ Result<void> Renderer::Impl::deliver(VoxelId voxel, const VoxelBytes& bytes) {
   const VoxelEntry& entry = tables_.voxels[index_of(voxel)];
   const Result<VoxelBlockView> block = view_voxel_block(bytes.bytes, tables_.materials.size());
   if (!block) { return tl::unexpected(block.error()); }
-  if (block->triangles.size() != entry.triangle_count ||
-      (entry.triangle_count > 0 && block->triangles.back() >= tables_.triangle_count)) {
+  if (block->triangles.size() != entry.triangle_count) {
     return fail(ExitCode::kMismatch,
                 fmt::format("voxel {} holds {} triangles, its directory entry says {}",
                             index_of(voxel), block->triangles.size(), entry.triangle_count));
+  }
+  for (const std::uint32_t triangle : block->triangles) {
+    if (triangle >= tables_.triangle_count) {
+      return fail(ExitCode::kMismatch,
+                  fmt::format("voxel {} holds triangle {} of a scene of {}", index_of(voxel),
+                              triangle, tables_.triangle_count));
+    }
   }
   const std::lock_guard lock(mutex_);
   if (is_hot_[index_of(voxel)]) {

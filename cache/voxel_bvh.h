@@ -1,5 +1,6 @@
-// A voxel's own tree over the triangles of its block: half of what Embree takes, and built in a
-// fraction of the time. Finds what Embree would find, bit by bit (see voxel_kernel.h).
+// A voxel's own tree over the triangles of its block, in the order that they have there: a tenth of
+// what Embree takes, and built in a fraction of the time. Finds what Embree would find, bit by bit
+// (see voxel_kernel.h).
 //
 // Boxes are grown by kVoxelMargin, so that the rounding of a slab test loses nothing.
 // Threads: immutable after construction.
@@ -17,24 +18,25 @@ namespace preheat {
 
 class VoxelBvh {
  public:
-  // The block's positions outlive this. Requires: a block with triangles.
+  // The block's bytes outlive this. Requires: a block with triangles.
   explicit VoxelBvh(const VoxelBlockView& block);
 
   [[nodiscard]] VoxelTree tree() const {
-    return {nodes_.data(), groups_.data(), positions_, root_};
+    return {nodes_.data(), indices_, positions_, triangle_count_, root_};
   }
 
   [[nodiscard]] std::uint64_t bytes() const {
-    return nodes_.capacity() * sizeof(VoxelTreeNode) + groups_.capacity() * sizeof(TriangleGroup);
+    return nodes_.capacity() * sizeof(VoxelTreeNode);
   }
   // What bytes() never exceeds.
   [[nodiscard]] static std::uint64_t bytes_max(std::uint64_t triangle_count);
 
  private:
+  const std::uint32_t* indices_;
   const float* positions_;
-  std::vector<VoxelTreeNode> nodes_;
-  std::vector<TriangleGroup> groups_;
+  std::uint32_t triangle_count_;
   std::uint32_t root_ = 0;
+  std::vector<VoxelTreeNode> nodes_;
 };
 
 // A ray with the reciprocals that the kernels need.

@@ -19,15 +19,10 @@ struct alignas(32) VoxelTreeNode {
   std::uint32_t children[kWidth];  // as VoxelTree::root
 };
 
-// Four triangles in one cache line.
-struct alignas(64) TriangleGroup {
-  static constexpr std::uint32_t kWidth = 4;
-  std::uint32_t vertices[3][kWidth];  // corner; indices of VoxelTree::positions
-  std::uint32_t triangles[kWidth];    // of the block; the last one fills up
-};
-
-// A leaf is up to kLeafGroupsMax groups that follow each other.
+// A group is kGroupWidth triangles that follow each other in the block, the last one perhaps fewer. A
+// leaf is up to kLeafGroupsMax groups that follow each other.
 struct VoxelTree {
+  static constexpr std::uint32_t kGroupWidth = 4;
   static constexpr std::uint32_t kLeaf = 0x80000000U;  // then 2 bits groups - 1, then first group
   static constexpr std::uint32_t kLeafGroupsMax = 4;
   static constexpr std::uint32_t kLeafGroupsShift = 29;
@@ -35,8 +30,9 @@ struct VoxelTree {
   static constexpr std::size_t kDepthMax = 32;
 
   const VoxelTreeNode* nodes = nullptr;
-  const TriangleGroup* groups = nullptr;
-  const float* positions = nullptr;  // [vertex_count * 3], 4 readable bytes behind
+  const std::uint32_t* indices = nullptr;  // [triangle_count * 3]
+  const float* positions = nullptr;        // [vertex_count * 3], 4 readable bytes behind
+  std::uint32_t triangle_count = 0;
   std::uint32_t root = 0;            // a node's index, or a leaf
 };
 

@@ -67,22 +67,32 @@ Vectors normal_of_edges(const Vectors& a, const Vectors& b, const Vectors& c) {
           normal_component(a.x, b.y, a.y, b.x, c.y, c.x)};
 }
 
-Vectors gather(const float* positions, const std::uint32_t* vertices) {
-  __m128 a = _mm_loadu_ps(positions + std::size_t{vertices[0]} * 3);
-  __m128 b = _mm_loadu_ps(positions + std::size_t{vertices[1]} * 3);
-  __m128 c = _mm_loadu_ps(positions + std::size_t{vertices[2]} * 3);
-  __m128 d = _mm_loadu_ps(positions + std::size_t{vertices[3]} * 3);
+// A corner of four triangles, given where each has its three indices.
+Vectors gather(const float* positions, const std::uint32_t* const* indices, unsigned corner) {
+  __m128 a = _mm_loadu_ps(positions + std::size_t{indices[0][corner]} * 3);
+  __m128 b = _mm_loadu_ps(positions + std::size_t{indices[1][corner]} * 3);
+  __m128 c = _mm_loadu_ps(positions + std::size_t{indices[2][corner]} * 3);
+  __m128 d = _mm_loadu_ps(positions + std::size_t{indices[3][corner]} * 3);
   _MM_TRANSPOSE4_PS(a, b, c, d);
   return {a, b, c};
 }
 
-// Tests a group's four triangles; returns the ray's new t_far.
-float test_group(const TriangleGroup& group, const float* positions, const Vectors& origin,
+// Tests a group's triangles, the last of the block in place of those behind it; returns the ray's
+// new t_far.
+float test_group(const VoxelTree& tree, std::uint32_t group, const Vectors& origin,
                  const Vectors& direction, float t_near, float t_far, KernelHit hit,
                  void* context) {
-  const Vectors v0 = gather(positions, group.vertices[0]) - origin;
-  const Vectors v1 = gather(positions, group.vertices[1]) - origin;
-  const Vectors v2 = gather(positions, group.vertices[2]) - origin;
+  const std::uint32_t last = tree.triangle_count - 1;
+  std::uint32_t triangles[VoxelTree::kGroupWidth];
+  const std::uint32_t* indices[VoxelTree::kGroupWidth];
+  for (std::uint32_t lane = 0; lane < VoxelTree::kGroupWidth; ++lane) {
+    const std::uint32_t triangle = group * VoxelTree::kGroupWidth + lane;
+    triangles[lane] = triangle < last ? triangle : last;
+    indices[lane] = tree.indices + std::size_t{triangles[lane]} * 3;
+  }
+  const Vectors v0 = gather(tree.positions, indices, 0) - origin;
+  const Vectors v1 = gather(tree.positions, indices, 1) - origin;
+  const Vectors v2 = gather(tree.positions, indices, 2) - origin;
   const Vectors e0 = v2 - v0;
   const Vectors e1 = v0 - v1;
   const Vectors e2 = v1 - v2;
@@ -120,9 +130,7 @@ float test_group(const TriangleGroup& group, const float* positions, const Vecto
   _mm_store_ps(vs, _mm_min_ps(_mm_mul_ps(v, scale), one));
   for (; met != 0; met &= met - 1) {
     const auto lane = static_cast<unsigned>(__builtin_ctz(static_cast<unsigned>(met)));
-    if (ts[lane] <= t_far) {
-      t_far = hit(context, group.triangles[lane], ts[lane], us[lane], vs[lane]);
-    }
+    if (ts[lane] <= t_far) { t_far = hit(context, triangles[lane], ts[lane], us[lane], vs[lane]); }
   }
   return t_far;
 }
@@ -175,7 +183,9 @@ unsigned enter_children(const VoxelTreeNode& node, const KernelRay& ray, float t
 void prefetch(const VoxelTree& tree, std::uint32_t child) {
   const bool leaf = (child & VoxelTree::kLeaf) != 0;
   const void* const from =
-      leaf ? static_cast<const void*>(tree.groups + (child & VoxelTree::kFirstGroupMask))
+      leaf ? static_cast<const void*>(tree.indices +
+                                      std::size_t{child & VoxelTree::kFirstGroupMask} *
+                                          VoxelTree::kGroupWidth * 3)
            : static_cast<const void*>(tree.nodes + child);
   const auto* const bytes = static_cast<const char*>(from);
   _mm_prefetch(bytes, _MM_HINT_T0);
@@ -206,8 +216,7 @@ void PREHEAT_TRACE_VOXEL(const VoxelTree& tree, const KernelRay& ray, KernelHit 
       const std::uint32_t first = next.child & VoxelTree::kFirstGroupMask;
       const std::uint32_t groups = (next.child >> VoxelTree::kLeafGroupsShift & 3U) + 1;
       for (std::uint32_t group = first; group < first + groups; ++group) {
-        t_far = test_group(tree.groups[group], tree.positions, origin, direction, ray.t_near, t_far,
-                           hit, context);
+        t_far = test_group(tree, group, origin, direction, ray.t_near, t_far, hit, context);
         if (t_far < ray.t_near) { return; }
       }
       continue;

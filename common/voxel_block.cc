@@ -11,6 +11,7 @@
 
 #include "common/check.h"
 #include "common/flat_index.h"
+#include "common/triangle_order.h"
 
 namespace preheat {
 namespace {
@@ -84,12 +85,6 @@ void put(std::vector<std::byte>& bytes, std::uint64_t begin, const std::vector<T
                                    vertex_count));
     }
   }
-  for (std::size_t i = 1; i < view.triangles.size(); ++i) {
-    if (view.triangles[i] <= view.triangles[i - 1]) {
-      return malformed(fmt::format("triangle ids {} and {} do not ascend", view.triangles[i - 1],
-                                   view.triangles[i]));
-    }
-  }
   for (const std::uint32_t material : view.materials) {
     if (material >= material_count) {
       return malformed(fmt::format("material {} of {}", material, material_count));
@@ -124,11 +119,11 @@ std::vector<std::byte> encode_voxel_block(const Scene& scene,
   std::vector<std::uint32_t> normals;
   std::vector<std::uint32_t> indices;
   std::vector<std::uint32_t> materials;
-  std::vector<std::uint32_t> triangles(triangle_ids.begin(), triangle_ids.end());
+  const std::vector<std::uint32_t> triangles = order_for_tree(scene, triangle_ids);
   indices.reserve(3 * triangle_ids.size());
   materials.reserve(triangle_ids.size());
   bool has_normals = false;
-  for (const std::uint32_t id : triangle_ids) {
+  for (const std::uint32_t id : triangles) {
     const Triangle& triangle = scene.triangles[id];
     for (const std::uint32_t vertex : triangle.vertices) {
       const std::uint32_t number = vertices.number_of(vertex);

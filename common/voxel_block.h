@@ -6,8 +6,10 @@
 //              Embree reads 16 bytes per vertex
 //   normals    u32 [vertex_count], octahedral 2 x 16 bit, 0 = use the geometric normal; if flagged
 //   indices    u32 [triangle_count * 3], counting the block's vertices
-//   triangles  u32 [triangle_count], global triangle ids, strictly increasing
+//   triangles  u32 [triangle_count], global triangle ids
 //   materials  u32 [triangle_count]
+// Triangles are in the order of triangle_order.h and vertices in that of their first use, so that a
+// tree over a block needs no lists of its own and neighbours share cache lines.
 #pragma once
 
 #include <cstddef>

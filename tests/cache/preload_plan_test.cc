@@ -180,7 +180,7 @@ TEST(PreloadPlan, WarmsWhatNoSampleMetIfItsNeighboursWereMetOften) {
   EXPECT_THAT(scene.warm(2 * scene.cold_bytes()), ElementsAre(VoxelId{0}, VoxelId{2}));
   EXPECT_THAT(scene.warm(4 * scene.cold_bytes()),
               ElementsAre(VoxelId{0}, VoxelId{2}, VoxelId{4}, VoxelId{1}));
-  EXPECT_THAT(scene.warm(8 * scene.cold_bytes()), ElementsAre(VoxelId{4}, VoxelId{1}, VoxelId{3}));
+  EXPECT_THAT(scene.warm(9 * scene.cold_bytes()), ElementsAre(VoxelId{4}, VoxelId{1}, VoxelId{3}));
 }
 
 TEST(PreloadPlan, SharesTheRaysOfTheNodeAboveBySurface) {

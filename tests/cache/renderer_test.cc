@@ -226,5 +226,16 @@ TEST_F(RendererTest, RefusesABlockThatIsNotTheVoxels) {
   EXPECT_FALSE(renderer.deliver(VoxelId{99999}, {other->bytes(), other}).has_value());
 }
 
+TEST_F(RendererTest, RefusesATriangleThatTheSceneDoesNotHave) {
+  SceneTables tables = store_.tables;
+  tables.triangle_count = 1;
+  Renderer renderer(tables, small_settings(), options(1.0), [] {});
+  renderer.set_hot_voxels({VoxelId{0}});
+  const auto& block = store_.blocks[0];
+  ASSERT_GT(tables.voxels[0].triangle_count, 1U);
+
+  EXPECT_FALSE(renderer.deliver(VoxelId{0}, {block->bytes(), block}).has_value());
+}
+
 }  // namespace
 }  // namespace preheat
