@@ -26,6 +26,10 @@ PreloadPlan BenchScene::plan(std::uint64_t limit_bytes) const {
   return plan_preload(store.tables(), prediction, limit_bytes, -1.0);
 }
 
+std::uint64_t BenchScene::cold_limit_bytes(std::uint64_t limit_bytes, const PreloadPlan& plan) {
+  return limit_bytes - plan.hot_bytes - (plan.hot.empty() ? 0 : kBvhBytesFixed);
+}
+
 std::vector<bool> BenchScene::is_hot(const PreloadPlan& plan) const {
   std::vector<bool> is_hot(sizes.size());
   for (const VoxelId voxel : plan.hot) { is_hot[index_of(voxel)] = true; }

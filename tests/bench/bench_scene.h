@@ -38,6 +38,9 @@ struct BenchScene {
   // As `--preload transport` has it.
   [[nodiscard]] PreloadPlan plan(std::uint64_t limit_bytes) const;
   [[nodiscard]] std::vector<bool> is_hot(const PreloadPlan& plan) const;
+  // What the hot set leaves of a limit.
+  [[nodiscard]] static std::uint64_t cold_limit_bytes(std::uint64_t limit_bytes,
+                                                      const PreloadPlan& plan);
 };
 
 [[nodiscard]] Result<BenchScene> open_bench_scene(const BenchSceneOptions& options);

@@ -43,7 +43,7 @@ class TraceTable {
     const std::uint64_t limit = scene_.limit_bytes(share);
     const PreloadPlan plan = preload ? scene_.plan(limit) : PreloadPlan{};
     const std::vector<bool> is_hot = scene_.is_hot(plan);
-    const std::uint64_t left = limit - plan.hot_bytes;
+    const std::uint64_t left = BenchScene::cold_limit_bytes(limit, plan);
     const std::uint64_t bound = fetched_bytes_bound(steps_, scene_.sizes, is_hot, left);
     const auto belady =
         replay(steps_, scene_.sizes, is_hot, left,

@@ -36,7 +36,7 @@ ClusterWork make_work(const Options& options, const BenchScene& scene, const Acc
   for (const VoxelId voxel : plan.hot) {
     work.hot_block_bytes += scene.block_bytes[index_of(voxel)];
   }
-  work.cold_limit_bytes = limit - plan.hot_bytes;
+  work.cold_limit_bytes = BenchScene::cold_limit_bytes(limit, plan);
   scale_frame(trace, options.frame, work);
   return work;
 }
