@@ -62,7 +62,7 @@ draw() {
     print "@media(prefers-color-scheme:dark){svg{background:#14171c}text{fill:#e6e9ee}.grid{stroke:#3a414c}"
     print ".l1{stroke:#6fb4ec}.c1{fill:#6fb4ec}.l2{stroke:#f0a15e}.c2{fill:#f0a15e}}"
     print "</style>"
-    panel(1, "Hit rate", 0.6, 1, 0.1, "%.1f")
+    panel(1, "Hit rate", 0.5, 1, 0.1, "%.1f")
     panel(2, "Time / time of --local", 0, 4, 1, "%d")
     for (k = 1; k <= scenes; ++k) {
       for (way = 1; way <= 2; ++way) {
