@@ -9,10 +9,10 @@
 namespace preheat {
 namespace {
 
-// Of a cache that cannot hold all that rays enter. A hot triangle is traced 1.6 times as fast as one
-// behind a box but takes up to three times the room, and what does not fit is fetched again and
-// again. At 12.5 % of the resident size 0.3 to 0.85 took the same time within a tenth, where nearly
-// all fits the least was best; bytes grow with the share.
+// Of a cache that cannot hold all that rays enter. A hot triangle is traced 1.6 times as fast as
+// one behind a box but takes up to three times the room, and what does not fit is fetched again
+// and again. At 12.5 % of the resident size 0.3 to 0.85 took the same time within a tenth, where
+// nearly all fits the least was best; bytes grow with the share.
 constexpr double kShareOfSmallCache = 0.3;
 
 std::uint64_t share_of(std::uint64_t bytes, double share) {

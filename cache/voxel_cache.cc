@@ -178,8 +178,8 @@ std::vector<VoxelCache::Command> VoxelCache::step() {
     commands.push_back({Action::kBuild, voxel});
   }
   while (!wanted_.empty() && under_way_ < kCommandsUnderWayMax) {
-    const auto first = std::max_element(
-        wanted_.begin(), wanted_.end(), [this](VoxelId a, VoxelId b) { return is_behind(a, b); });
+    const auto first = std::max_element(wanted_.begin(), wanted_.end(),
+                                        [this](VoxelId a, VoxelId b) { return is_behind(a, b); });
     const VoxelId voxel = *first;
     const Slot& slot = slots_[index_of(voxel)];
     if (slot.state == State::kWithdrawing) { break; }

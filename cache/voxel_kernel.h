@@ -19,8 +19,8 @@ struct alignas(32) VoxelTreeNode {
   std::uint32_t children[kWidth];  // as VoxelTree::root
 };
 
-// A group is kGroupWidth triangles that follow each other in the block, the last one perhaps fewer. A
-// leaf is up to kLeafGroupsMax groups that follow each other.
+// A group is kGroupWidth triangles that follow each other in the block, the last one perhaps fewer.
+// A leaf is up to kLeafGroupsMax groups that follow each other.
 struct VoxelTree {
   static constexpr std::uint32_t kGroupWidth = 4;
   static constexpr std::uint32_t kLeaf = 0x80000000U;  // then 2 bits groups - 1, then first group
