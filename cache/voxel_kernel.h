@@ -33,7 +33,7 @@ struct VoxelTree {
   const std::uint32_t* indices = nullptr;  // [triangle_count * 3]
   const float* positions = nullptr;        // [vertex_count * 3], 4 readable bytes behind
   std::uint32_t triangle_count = 0;
-  std::uint32_t root = 0;            // a node's index, or a leaf
+  std::uint32_t root = 0;  // a node's index, or a leaf
 };
 
 struct KernelRay {

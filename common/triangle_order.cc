@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <numeric>
+#include <utility>
 
 #include "common/aabb.h"
 
@@ -15,15 +16,15 @@ struct Range {
   [[nodiscard]] std::size_t size() const { return end - begin; }
 };
 
-// Where a range is cut along an axis.
+// Where a range is cut along an axis; nowhere yet while nothing is left of it.
 struct Cut {
   std::size_t axis = 0;
   std::size_t left = 0;  // triangles
-  float cost = kInfinity;
+  float cost = 0.0F;
 };
 
 float half_area(const Aabb& box) {
-  const Vec3 extent = box.high - box.low;
+  const Vec3 extent = box.extent();
   return extent.x * extent.y + extent.y * extent.z + extent.z * extent.x;
 }
 
