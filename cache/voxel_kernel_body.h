@@ -205,37 +205,55 @@ void PREHEAT_TRACE_VOXEL(const VoxelTree& tree, const KernelRay& ray, KernelHit 
                          void* context) {
   Pending pending[VoxelTree::kDepthMax * (VoxelTreeNode::kWidth - 1) + 1];
   std::size_t pending_count = 0;
-  pending[pending_count++] = {ray.t_near, tree.root};
+  std::uint32_t child = tree.root;
   float t_far = ray.t_far;
   const Vectors origin = all_lanes(ray.origin);
   const Vectors direction = all_lanes(ray.direction);
-  while (pending_count > 0) {
-    const Pending next = pending[--pending_count];
-    if (!(next.t_enter <= t_far * kExitWidening)) { continue; }
-    if ((next.child & VoxelTree::kLeaf) != 0) {
-      const std::uint32_t first = next.child & VoxelTree::kFirstGroupMask;
-      const std::uint32_t groups = (next.child >> VoxelTree::kLeafGroupsShift & 3U) + 1;
+  for (;;) {
+    if ((child & VoxelTree::kLeaf) == 0) {
+      const VoxelTreeNode& node = tree.nodes[child];
+      alignas(32) float t_enter[VoxelTreeNode::kWidth];
+      unsigned entered = enter_children(node, ray, t_far, t_enter);
+      if (entered != 0) {
+        auto at = static_cast<unsigned>(__builtin_ctz(entered));
+        entered &= entered - 1;
+        child = node.children[at];
+        if (entered == 0) { continue; }
+        // The nearest is taken next: the others are put in their places among those just pushed.
+        float nearest = t_enter[at];
+        const std::size_t first_pushed = pending_count;
+        do {
+          at = static_cast<unsigned>(__builtin_ctz(entered));
+          entered &= entered - 1;
+          Pending farther{t_enter[at], node.children[at]};
+          if (farther.t_enter < nearest) {
+            const Pending swapped{nearest, child};
+            nearest = farther.t_enter;
+            child = farther.child;
+            farther = swapped;
+          }
+          prefetch(tree, farther.child);
+          std::size_t place = pending_count++;
+          while (place > first_pushed && pending[place - 1].t_enter < farther.t_enter) {
+            pending[place] = pending[place - 1];
+            --place;
+          }
+          pending[place] = farther;
+        } while (entered != 0);
+        continue;
+      }
+    } else {
+      const std::uint32_t first = child & VoxelTree::kFirstGroupMask;
+      const std::uint32_t groups = (child >> VoxelTree::kLeafGroupsShift & 3U) + 1;
       for (std::uint32_t group = first; group < first + groups; ++group) {
         t_far = test_group(tree, group, origin, direction, ray.t_near, t_far, hit, context);
         if (t_far < ray.t_near) { return; }
       }
-      continue;
     }
-    const VoxelTreeNode& node = tree.nodes[next.child];
-    alignas(32) float t_enter[VoxelTreeNode::kWidth];
-    unsigned entered = enter_children(node, ray, t_far, t_enter);
-    // The nearest is taken next: each is put in its place among those just pushed.
-    const std::size_t first_pushed = pending_count;
-    for (; entered != 0; entered &= entered - 1) {
-      const auto child = static_cast<unsigned>(__builtin_ctz(entered));
-      prefetch(tree, node.children[child]);
-      std::size_t place = pending_count++;
-      while (place > first_pushed && pending[place - 1].t_enter < t_enter[child]) {
-        pending[place] = pending[place - 1];
-        --place;
-      }
-      pending[place] = {t_enter[child], node.children[child]};
-    }
+    do {
+      if (pending_count == 0) { return; }
+      child = pending[--pending_count].child;
+    } while (!(pending[pending_count].t_enter <= t_far * kExitWidening));
   }
 }
 
