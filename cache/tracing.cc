@@ -181,7 +181,8 @@ float keep_lowest(QueryContext& context, const MeshArrays& arrays, std::uint32_t
       context.arrays = &arrays;
       context.primitive = primitive;
       // The surface is likely to be asked for, and its lines are far.
-      _mm_prefetch(&arrays.indices[std::size_t{primitive} * 3], _MM_HINT_T0);
+      _mm_prefetch(arrays.indices.data() + (std::size_t{primitive} * 3 << arrays.indices.shift()),
+                   _MM_HINT_T0);
       _mm_prefetch(&arrays.materials[primitive], _MM_HINT_T0);
       _mm_prefetch(&arrays.triangles[primitive], _MM_HINT_T0);
       context.u = u;
@@ -415,15 +416,14 @@ void HotMesh::add(const VoxelBlockView& block) {
 }
 
 MeshArrays HotMesh::arrays() const {
-  return {positions_, normals_, indices_, triangles_, materials_};
+  return {positions_, normals_, PackedIndices(std::span(indices_)), materials_, triangles_};
 }
 
 std::uint64_t HotMesh::bytes() const {
   return positions_.capacity() * sizeof(float) +
-         (normals_.capacity() + indices_.capacity() + triangles_.capacity() +
-          materials_.capacity()) *
+         (normals_.capacity() + indices_.capacity() + triangles_.capacity()) *
              sizeof(std::uint32_t) +
-         seen_.capacity() / 8;
+         materials_.capacity() * sizeof(std::uint16_t) + seen_.capacity() / 8;
 }
 
 struct Residency::Impl {

@@ -86,9 +86,9 @@ class TracingDevice {
 struct MeshArrays {
   std::span<const float> positions{};          // [vertex_count * 3], 4 readable bytes behind
   std::span<const std::uint32_t> normals{};    // [vertex_count] or empty
-  std::span<const std::uint32_t> indices{};    // [triangle_count * 3]
+  PackedIndices indices{};                     // [triangle_count * 3]
+  std::span<const std::uint16_t> materials{};  // [triangle_count]
   std::span<const std::uint32_t> triangles{};  // [triangle_count] global ids
-  std::span<const std::uint32_t> materials{};  // [triangle_count]
 };
 
 // What shading needs of a hit at `t` with the barycentric coordinates u and v of Embree.
@@ -99,7 +99,7 @@ struct MeshArrays {
 class VoxelMesh {
  public:
   explicit VoxelMesh(const VoxelBlockView& block)
-      : arrays_{block.positions, block.normals, block.indices, block.triangles, block.materials},
+      : arrays_{block.positions, block.normals, block.indices, block.materials, block.triangles},
         bvh_(block) {}
   VoxelMesh(const VoxelMesh&) = delete;
   VoxelMesh& operator=(const VoxelMesh&) = delete;
@@ -135,8 +135,8 @@ class HotMesh {
   std::vector<float> positions_;
   std::vector<std::uint32_t> normals_;
   std::vector<std::uint32_t> indices_;
+  std::vector<std::uint16_t> materials_;
   std::vector<std::uint32_t> triangles_;
-  std::vector<std::uint32_t> materials_;
   std::vector<bool> seen_;  // [triangle_count of the scene]
   bool has_normals_ = false;
 };

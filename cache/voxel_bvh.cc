@@ -193,7 +193,7 @@ std::vector<VoxelTreeNode> make_nodes(const std::vector<Box>& boxes) {
 }  // namespace
 
 VoxelBvh::VoxelBvh(const VoxelBlockView& block)
-    : indices_(block.indices.data()),
+    : indices_(block.indices),
       positions_(block.positions.data()),
       triangle_count_(static_cast<std::uint32_t>(block.triangles.size())) {
   CHECK(triangle_count_ > 0);

@@ -22,17 +22,16 @@ class VoxelBvh {
   explicit VoxelBvh(const VoxelBlockView& block);
 
   [[nodiscard]] VoxelTree tree() const {
-    return {nodes_.data(), indices_, positions_, triangle_count_, root_};
+    return {nodes_.data(),        indices_.data(), positions_,
+            indices_.is_narrow(), triangle_count_, root_};
   }
 
-  [[nodiscard]] std::uint64_t bytes() const {
-    return nodes_.capacity() * sizeof(VoxelTreeNode);
-  }
+  [[nodiscard]] std::uint64_t bytes() const { return nodes_.capacity() * sizeof(VoxelTreeNode); }
   // What bytes() never exceeds.
   [[nodiscard]] static std::uint64_t bytes_max(std::uint64_t triangle_count);
 
  private:
-  const std::uint32_t* indices_;
+  PackedIndices indices_;
   const float* positions_;
   std::uint32_t triangle_count_;
   std::uint32_t root_ = 0;

@@ -30,8 +30,9 @@ struct VoxelTree {
   static constexpr std::size_t kDepthMax = 32;
 
   const VoxelTreeNode* nodes = nullptr;
-  const std::uint32_t* indices = nullptr;  // [triangle_count * 3]
-  const float* positions = nullptr;        // [vertex_count * 3], 4 readable bytes behind
+  const void* indices = nullptr;     // [triangle_count * 3] of 16 or 32 bits
+  const float* positions = nullptr;  // [vertex_count * 3], 4 readable bytes behind
+  bool indices_are_narrow = false;
   std::uint32_t triangle_count = 0;
   std::uint32_t root = 0;  // a node's index, or a leaf
 };

@@ -67,8 +67,14 @@ Vectors normal_of_edges(const Vectors& a, const Vectors& b, const Vectors& c) {
           normal_component(a.x, b.y, a.y, b.x, c.y, c.x)};
 }
 
+template <class Index>
+const Index* indices_of(const VoxelTree& tree, std::uint32_t triangle) {
+  return static_cast<const Index*>(tree.indices) + std::size_t{triangle} * 3;
+}
+
 // A corner of four triangles, given where each has its three indices.
-Vectors gather(const float* positions, const std::uint32_t* const* indices, unsigned corner) {
+template <class Index>
+Vectors gather(const float* positions, const Index* const* indices, unsigned corner) {
   __m128 a = _mm_loadu_ps(positions + std::size_t{indices[0][corner]} * 3);
   __m128 b = _mm_loadu_ps(positions + std::size_t{indices[1][corner]} * 3);
   __m128 c = _mm_loadu_ps(positions + std::size_t{indices[2][corner]} * 3);
@@ -79,16 +85,17 @@ Vectors gather(const float* positions, const std::uint32_t* const* indices, unsi
 
 // Tests a group's triangles, the last of the block in place of those behind it; returns the ray's
 // new t_far.
+template <class Index>
 float test_group(const VoxelTree& tree, std::uint32_t group, const Vectors& origin,
                  const Vectors& direction, float t_near, float t_far, KernelHit hit,
                  void* context) {
   const std::uint32_t last = tree.triangle_count - 1;
   std::uint32_t triangles[VoxelTree::kGroupWidth];
-  const std::uint32_t* indices[VoxelTree::kGroupWidth];
+  const Index* indices[VoxelTree::kGroupWidth];
   for (std::uint32_t lane = 0; lane < VoxelTree::kGroupWidth; ++lane) {
     const std::uint32_t triangle = group * VoxelTree::kGroupWidth + lane;
     triangles[lane] = triangle < last ? triangle : last;
-    indices[lane] = tree.indices + std::size_t{triangles[lane]} * 3;
+    indices[lane] = indices_of<Index>(tree, triangles[lane]);
   }
   const Vectors v0 = gather(tree.positions, indices, 0) - origin;
   const Vectors v1 = gather(tree.positions, indices, 1) - origin;
@@ -180,12 +187,12 @@ unsigned enter_children(const VoxelTreeNode& node, const KernelRay& ray, float t
 #endif
 
 // What a pending child needs first is on its way while nearer ones are tested.
+template <class Index>
 void prefetch(const VoxelTree& tree, std::uint32_t child) {
   const bool leaf = (child & VoxelTree::kLeaf) != 0;
   const void* const from =
-      leaf ? static_cast<const void*>(tree.indices +
-                                      std::size_t{child & VoxelTree::kFirstGroupMask} *
-                                          VoxelTree::kGroupWidth * 3)
+      leaf ? static_cast<const void*>(indices_of<Index>(
+                 tree, (child & VoxelTree::kFirstGroupMask) * VoxelTree::kGroupWidth))
            : static_cast<const void*>(tree.nodes + child);
   const auto* const bytes = static_cast<const char*>(from);
   _mm_prefetch(bytes, _MM_HINT_T0);
@@ -199,10 +206,8 @@ struct Pending {
   std::uint32_t child;
 };
 
-}  // namespace
-
-void PREHEAT_TRACE_VOXEL(const VoxelTree& tree, const KernelRay& ray, KernelHit hit,
-                         void* context) {
+template <class Index>
+void trace_tree(const VoxelTree& tree, const KernelRay& ray, KernelHit hit, void* context) {
   Pending pending[VoxelTree::kDepthMax * (VoxelTreeNode::kWidth - 1) + 1];
   std::size_t pending_count = 0;
   std::uint32_t child = tree.root;
@@ -232,7 +237,7 @@ void PREHEAT_TRACE_VOXEL(const VoxelTree& tree, const KernelRay& ray, KernelHit 
             child = farther.child;
             farther = swapped;
           }
-          prefetch(tree, farther.child);
+          prefetch<Index>(tree, farther.child);
           std::size_t place = pending_count++;
           while (place > first_pushed && pending[place - 1].t_enter < farther.t_enter) {
             pending[place] = pending[place - 1];
@@ -246,7 +251,7 @@ void PREHEAT_TRACE_VOXEL(const VoxelTree& tree, const KernelRay& ray, KernelHit 
       const std::uint32_t first = child & VoxelTree::kFirstGroupMask;
       const std::uint32_t groups = (child >> VoxelTree::kLeafGroupsShift & 3U) + 1;
       for (std::uint32_t group = first; group < first + groups; ++group) {
-        t_far = test_group(tree, group, origin, direction, ray.t_near, t_far, hit, context);
+        t_far = test_group<Index>(tree, group, origin, direction, ray.t_near, t_far, hit, context);
         if (t_far < ray.t_near) { return; }
       }
     }
@@ -254,6 +259,17 @@ void PREHEAT_TRACE_VOXEL(const VoxelTree& tree, const KernelRay& ray, KernelHit 
       if (pending_count == 0) { return; }
       child = pending[--pending_count].child;
     } while (!(pending[pending_count].t_enter <= t_far * kExitWidening));
+  }
+}
+
+}  // namespace
+
+void PREHEAT_TRACE_VOXEL(const VoxelTree& tree, const KernelRay& ray, KernelHit hit,
+                         void* context) {
+  if (tree.indices_are_narrow) {
+    trace_tree<std::uint16_t>(tree, ray, hit, context);
+  } else {
+    trace_tree<std::uint32_t>(tree, ray, hit, context);
   }
 }
 

@@ -23,7 +23,7 @@
 
 namespace preheat {
 
-inline constexpr std::uint16_t kProtocolVersion = 4;
+inline constexpr std::uint16_t kProtocolVersion = 5;
 inline constexpr std::size_t kControlFrameBytesMax = 64 * 1024;
 inline constexpr std::size_t kChunkBytesMax = 256 * 1024;
 inline constexpr std::uint64_t kTablesBytesMax = std::uint64_t{2} << 30;

@@ -8,13 +8,13 @@
 
 #include "common/result.h"
 #include "common/scene_tables.h"
+#include "common/voxel_block.h"
 
 namespace preheat {
 
 // Limits that both sides know; a scene beyond them is rejected when it is compiled.
 inline constexpr std::uint64_t kVoxelBytesMax = std::uint64_t{64} << 20U;
 inline constexpr std::size_t kVoxelCountMax = std::size_t{1} << 24U;
-inline constexpr std::size_t kMaterialCountMax = std::size_t{1} << 20U;
 inline constexpr std::size_t kLightCountMax = std::size_t{1} << 20U;
 inline constexpr std::uint64_t kTriangleCountMax = std::uint64_t{1} << 31U;
 inline constexpr std::size_t kNameBytesMax = 4096;

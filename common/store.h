@@ -25,7 +25,7 @@
 
 namespace preheat {
 
-inline constexpr std::uint32_t kStoreVersion = 4;
+inline constexpr std::uint32_t kStoreVersion = 5;
 
 // Facts about how the store was made, for inspect and the report.
 struct StoreInfo {

@@ -34,23 +34,27 @@ constexpr std::uint64_t aligned(std::uint64_t bytes) {
   return (bytes + kAlignment - 1) / kAlignment * kAlignment;
 }
 
+// Whether vertices are counted with 16 bits.
+constexpr bool is_narrow(std::uint64_t vertex_count) { return vertex_count <= 0x10000U; }
+
 // Where each section begins. The counts are 32-bit, so no sum here can overflow 64 bits.
 struct Layout {
   std::uint64_t positions = 0;
   std::uint64_t normals = 0;
   std::uint64_t indices = 0;
-  std::uint64_t triangles = 0;
   std::uint64_t materials = 0;
+  std::uint64_t triangles = 0;
   std::uint64_t end = 0;
 
   Layout(std::uint64_t vertex_count, std::uint64_t triangle_count, bool has_normals) {
     constexpr std::uint64_t kWord = 4;
+    constexpr std::uint64_t kHalf = 2;
     positions = sizeof(Header);
     normals = positions + aligned(3 * kWord * vertex_count + kWord);
     indices = normals + (has_normals ? aligned(kWord * vertex_count) : 0);
-    triangles = indices + aligned(3 * kWord * triangle_count);
-    materials = triangles + aligned(kWord * triangle_count);
-    end = materials + aligned(kWord * triangle_count);
+    materials = indices + aligned(3 * (is_narrow(vertex_count) ? kHalf : kWord) * triangle_count);
+    triangles = materials + aligned(kHalf * triangle_count);
+    end = triangles + aligned(kWord * triangle_count);
   }
 };
 
@@ -85,7 +89,7 @@ void put(std::vector<std::byte>& bytes, std::uint64_t begin, const std::vector<T
                                    vertex_count));
     }
   }
-  for (const std::uint32_t material : view.materials) {
+  for (const std::uint16_t material : view.materials) {
     if (material >= material_count) {
       return malformed(fmt::format("material {} of {}", material, material_count));
     }
@@ -118,7 +122,7 @@ std::vector<std::byte> encode_voxel_block(const Scene& scene,
   std::vector<Vec3> positions;
   std::vector<std::uint32_t> normals;
   std::vector<std::uint32_t> indices;
-  std::vector<std::uint32_t> materials;
+  std::vector<std::uint16_t> materials;
   const std::vector<std::uint32_t> triangles = order_for_tree(scene, triangle_ids);
   indices.reserve(3 * triangle_ids.size());
   materials.reserve(triangle_ids.size());
@@ -134,7 +138,8 @@ std::vector<std::byte> encode_voxel_block(const Scene& scene,
         has_normals |= normals.back() != 0;
       }
     }
-    materials.push_back(triangle.material);
+    CHECK(triangle.material < kMaterialCountMax);
+    materials.push_back(static_cast<std::uint16_t>(triangle.material));
   }
 
   const Layout layout(positions.size(), triangles.size(), has_normals);
@@ -145,9 +150,13 @@ std::vector<std::byte> encode_voxel_block(const Scene& scene,
   std::memcpy(bytes.data(), &header, sizeof(header));
   put(bytes, layout.positions, positions);
   if (has_normals) { put(bytes, layout.normals, normals); }
-  put(bytes, layout.indices, indices);
-  put(bytes, layout.triangles, triangles);
+  if (is_narrow(positions.size())) {
+    put(bytes, layout.indices, std::vector<std::uint16_t>(indices.begin(), indices.end()));
+  } else {
+    put(bytes, layout.indices, indices);
+  }
   put(bytes, layout.materials, materials);
+  put(bytes, layout.triangles, triangles);
   return bytes;
 }
 
@@ -175,9 +184,12 @@ Result<VoxelBlockView> view_voxel_block(std::span<const std::byte> bytes,
   const VoxelBlockView view{
       .positions = section<float>(bytes, layout.positions, 3 * vertex_count),
       .normals = section<std::uint32_t>(bytes, layout.normals, has_normals ? vertex_count : 0),
-      .indices = section<std::uint32_t>(bytes, layout.indices, 3 * triangle_count),
-      .triangles = section<std::uint32_t>(bytes, layout.triangles, triangle_count),
-      .materials = section<std::uint32_t>(bytes, layout.materials, triangle_count)};
+      .indices =
+          is_narrow(vertex_count)
+              ? PackedIndices(section<std::uint16_t>(bytes, layout.indices, 3 * triangle_count))
+              : PackedIndices(section<std::uint32_t>(bytes, layout.indices, 3 * triangle_count)),
+      .materials = section<std::uint16_t>(bytes, layout.materials, triangle_count),
+      .triangles = section<std::uint32_t>(bytes, layout.triangles, triangle_count)};
   if (const Result<void> checked = check_content(view, material_count); !checked) {
     return tl::unexpected(checked.error());
   }

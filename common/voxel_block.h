@@ -5,9 +5,11 @@
 //   positions  float [vertex_count * 3], scene frame, followed by at least 4 bytes of padding, as
 //              Embree reads 16 bytes per vertex
 //   normals    u32 [vertex_count], octahedral 2 x 16 bit, 0 = use the geometric normal; if flagged
-//   indices    u32 [triangle_count * 3], counting the block's vertices
+//   indices    [triangle_count * 3], counting the block's vertices: u16 where it has at most 2^16
+//   of
+//              them, else u32
+//   materials  u16 [triangle_count]
 //   triangles  u32 [triangle_count], global triangle ids
-//   materials  u32 [triangle_count]
 // Triangles are in the order of triangle_order.h and vertices in that of their first use, so that a
 // tree over a block needs no lists of its own and neighbours share cache lines.
 #pragma once
@@ -17,19 +19,23 @@
 #include <span>
 #include <vector>
 
+#include "common/packed_indices.h"
 #include "common/result.h"
 #include "common/scene.h"
 #include "common/vec3.h"
 
 namespace preheat {
 
+// Blocks count materials with 16 bits; a scene of more is rejected when it is compiled.
+inline constexpr std::size_t kMaterialCountMax = std::size_t{1} << 16U;
+
 // Views into a block's bytes, valid while they live.
 struct VoxelBlockView {
   std::span<const float> positions{};          // [vertex_count * 3]
   std::span<const std::uint32_t> normals{};    // [vertex_count] or empty
-  std::span<const std::uint32_t> indices{};    // [triangle_count * 3]
+  PackedIndices indices{};                     // [triangle_count * 3]
+  std::span<const std::uint16_t> materials{};  // [triangle_count]
   std::span<const std::uint32_t> triangles{};  // [triangle_count]
-  std::span<const std::uint32_t> materials{};  // [triangle_count]
 };
 
 // Bytes of a block before it exists.
@@ -38,12 +44,13 @@ struct VoxelBlockView {
 
 // Of the bound below, for a BVH and for each of its triangles.
 inline constexpr std::uint64_t kBvhBytesFixed = 6144;
-inline constexpr std::uint64_t kBvhBytesPerTriangle = 98;
+inline constexpr std::uint64_t kBvhBytesPerTriangle = 104;
 
 // Never less than what Embree holds for a voxel's BVH (robust, medium quality), in steps of its own
-// allocator. Of 37,000 subtrees of real scenes and hostile soups, 1 to 200,000 triangles, on avx2 and
-// sse4.2 and with 1 and 2 build threads, Embree 3.13 took at most 93 % of it, and in real scenes
-// at most 80 %; above 1,000 triangles the mean is 67 %.
+// allocator, and the 6 bytes a triangle that its indices take beyond a block's. Of 37,000 subtrees
+// of real scenes and hostile soups, 1 to 200,000 triangles, on avx2 and sse4.2 and with 1 and 2
+// build threads, Embree 3.13 took at most 93 % of it without those, and in real scenes at most
+// 80 %; above 1,000 triangles the mean is 67 %.
 [[nodiscard]] constexpr std::uint64_t bvh_bytes_bound(std::uint64_t triangle_count) {
   return kBvhBytesFixed + kBvhBytesPerTriangle * triangle_count;
 }

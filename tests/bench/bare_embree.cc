@@ -45,6 +45,7 @@ void keep_lowest(const RTCFilterFunctionNArguments* arguments) {
 
 struct BareEmbree::Impl {
   MeshArrays mesh{};
+  std::vector<std::uint32_t> indices{};
   bool has_surface = false;
   RTCDevice device = nullptr;
   RTCScene scene = nullptr;
@@ -52,11 +53,12 @@ struct BareEmbree::Impl {
 
 BareEmbree::BareEmbree(const MeshArrays& mesh, HitFilter filter) : impl_(std::make_unique<Impl>()) {
   impl_->mesh = mesh;
+  impl_->indices = mesh.indices.unpacked();
   impl_->has_surface = filter == HitFilter::kLowestWithSurface;
   impl_->device = rtcNewDevice((std::string("isa=") + tracing_isa()).c_str());
   CHECK(impl_->device != nullptr);
   impl_->scene =
-      test::triangle_scene(impl_->device, mesh.positions, mesh.indices,
+      test::triangle_scene(impl_->device, mesh.positions, impl_->indices,
                            filter == HitFilter::kNone ? nullptr : keep_lowest, &impl_->mesh);
 }
 

@@ -47,7 +47,8 @@ class EmbreeBlock {
  public:
   EmbreeBlock(const VoxelBlockView& block, const std::string& isa)
       : device_(rtcNewDevice(("isa=" + isa).c_str())),
-        scene_(test::triangle_scene(device_, block.positions, block.indices, collect_and_refuse,
+        indices_(block.indices.unpacked()),
+        scene_(test::triangle_scene(device_, block.positions, indices_, collect_and_refuse,
                                     nullptr)) {}
   ~EmbreeBlock() {
     rtcReleaseScene(scene_);
@@ -70,6 +71,7 @@ class EmbreeBlock {
 
  private:
   RTCDevice device_;
+  std::vector<std::uint32_t> indices_;
   RTCScene scene_;
 };
 
@@ -167,6 +169,37 @@ TEST_P(VoxelKernelOfIsa, MeetsTheTrianglesThatEmbreeMeetsWithTheSameBits) {
   EXPECT_GT(met_count, 200000U);
   // Rays that lie in the face of a box, which the filter of hits judges.
   EXPECT_LT(only_ours, met_count / 100);
+}
+
+TEST_P(VoxelKernelOfIsa, MeetsTheSameWithIndicesOf32Bits) {
+  if (!GetParam().available) { GTEST_SKIP() << "this processor lacks " << GetParam().name; }
+  SoupRandom random(5);
+  const Scene scene = test::soup(601, 0.2F, 5);
+  std::vector<std::uint32_t> ids(scene.triangles.size());
+  for (std::uint32_t id = 0; id < ids.size(); ++id) { ids[id] = id; }
+  const AlignedBytes bytes(encode_voxel_block(scene, ids));
+  const VoxelBlockView block = view_voxel_block(bytes.bytes(), 1).value();
+  ASSERT_TRUE(block.indices.is_narrow());
+  const std::vector<std::uint32_t> wide = block.indices.unpacked();
+  VoxelBlockView wide_block = block;
+  wide_block.indices = PackedIndices(std::span(wide));
+  const VoxelBvh narrow_bvh(block);
+  const VoxelBvh wide_bvh(wide_block);
+  std::size_t met_count = 0;
+
+  for (int index = 0; index < 10000; ++index) {
+    const Ray ray = random_ray(scene, random);
+    const MetTriangles expected = trace_all(narrow_bvh, GetParam().kernel, ray);
+    const MetTriangles found = trace_all(wide_bvh, GetParam().kernel, ray);
+    ASSERT_EQ(found.size(), expected.size());
+    met_count += expected.size();
+    for (const auto& [triangle, met] : expected) {
+      const auto same = found.find(triangle);
+      ASSERT_TRUE(same != found.end() && same_bits(same->second, met)) << triangle;
+    }
+  }
+
+  EXPECT_GT(met_count, 10000U);
 }
 
 INSTANTIATE_TEST_SUITE_P(Isa, VoxelKernelOfIsa,

@@ -24,10 +24,9 @@ std::vector<std::uint32_t> all_triangles(const Scene& scene) {
   return ids;
 }
 
-// Overwrites a 32-bit word of the block.
+// Overwrites a number in the block.
 template <class T>
-std::vector<std::byte> with_word(std::vector<std::byte> bytes, std::size_t offset, T value) {
-  static_assert(sizeof(T) == 4);
+std::vector<std::byte> with_number(std::vector<std::byte> bytes, std::size_t offset, T value) {
   std::memcpy(bytes.data() + offset, &value, sizeof(value));
   return bytes;
 }
@@ -60,6 +59,27 @@ TEST(VoxelBlock, GivesBackTheTrianglesOfTheScene) {
                   scene.positions[vertex][static_cast<int>(axis)]);
       }
       EXPECT_EQ(decode_normal(view->normals[local]), scene.normals[vertex]);
+    }
+  }
+}
+
+TEST(VoxelBlock, CountsVerticesWith16BitsAsLongAsTheySuffice) {
+  for (const unsigned side : {254U, 255U, 256U, 300U}) {
+    const Scene scene = test::sheet(side);
+
+    const std::vector<std::byte> bytes = encode_voxel_block(scene, all_triangles(scene));
+    const Result<VoxelBlockView> view = view_voxel_block(bytes, 1);
+
+    ASSERT_TRUE(view) << view.error().message;
+    const std::size_t vertices = view->positions.size() / 3;
+    ASSERT_EQ(vertices, scene.positions.size());
+    EXPECT_EQ(view->indices.is_narrow(), vertices <= 65536) << vertices;
+    EXPECT_EQ(bytes.size(), voxel_block_bytes(vertices, view->triangles.size(), true));
+    for (std::size_t i = 0; i < view->indices.size(); ++i) {
+      const std::uint32_t vertex = scene.triangles[view->triangles[i / 3]].vertices[i % 3];
+      const std::size_t local = view->indices[i];
+      ASSERT_EQ(view->positions[3 * local], scene.positions[vertex].x);
+      ASSERT_EQ(view->positions[3 * local + 1], scene.positions[vertex].y);
     }
   }
 }
@@ -112,19 +132,24 @@ TEST(VoxelBlock, WithLyingContentIsRefused) {
   const auto offset_of = [&](const auto* place) {
     return static_cast<std::size_t>(std::bit_cast<const std::byte*>(place) - bytes.data());
   };
-  const auto vertex_count = static_cast<std::uint32_t>(view->normals.size());
+  const std::size_t vertex_count = view->normals.size();
   constexpr std::uint32_t kHuge = 0xFFFFFFFF;
 
-  EXPECT_TRUE(
-      view_voxel_block(with_word(bytes, offset_of(&view->indices[5]), vertex_count - 1), 1));
-  EXPECT_FALSE(view_voxel_block(with_word(bytes, offset_of(&view->indices[5]), vertex_count), 1));
-  EXPECT_FALSE(view_voxel_block(with_word(bytes, offset_of(&view->materials[2]), 1U), 1));
+  const std::size_t sixth_index = offset_of(view->indices.data()) + 5 * sizeof(std::uint16_t);
+  const auto with_index = [&](std::size_t vertex) {
+    return with_number(bytes, sixth_index, static_cast<std::uint16_t>(vertex));
+  };
+  EXPECT_TRUE(view_voxel_block(with_index(vertex_count - 1), 1));
+  EXPECT_FALSE(view_voxel_block(with_index(vertex_count), 1));
+  const std::uint16_t no_material = 1;
+  EXPECT_FALSE(
+      view_voxel_block(with_number(bytes, offset_of(&view->materials[2]), no_material), 1));
   for (const float bad :
        {std::numeric_limits<float>::quiet_NaN(), std::numeric_limits<float>::infinity()}) {
-    EXPECT_FALSE(view_voxel_block(with_word(bytes, offset_of(&view->positions[7]), bad), 1));
+    EXPECT_FALSE(view_voxel_block(with_number(bytes, offset_of(&view->positions[7]), bad), 1));
   }
   for (const std::size_t header_word : {0U, 4U, 8U, 12U}) {
-    EXPECT_FALSE(view_voxel_block(with_word(bytes, header_word, kHuge), 1)) << header_word;
+    EXPECT_FALSE(view_voxel_block(with_number(bytes, header_word, kHuge), 1)) << header_word;
   }
 }
 
