@@ -184,8 +184,8 @@ void Tracer::advance(std::uint32_t path_index) {
     finish_path(path_index);
     return;
   }
-  const ShadedVertex vertex =
-      context_.shading.shade_hit(path.scatter.ray, path.scatter.surface, path.state);
+  const ShadedVertex vertex = context_.shading.shade_hit(
+      path.scatter.ray, context_.residency.surface(path.scatter), path.state);
   rays_.scatter += vertex.has_scatter_ray ? 1 : 0;
   rays_.shadow += vertex.has_shadow_ray ? 1 : 0;
   launch(path_index, vertex);

@@ -1,14 +1,13 @@
 #include "cache/tracing.h"
 
-#include <immintrin.h>
 #include <spdlog/spdlog.h>
 
 #include <atomic>
-#include <cmath>
 #include <cstring>
 #include <mutex>
 #include <optional>
 
+#include "cache/hit_filter.h"
 #include "cache/renderer.h"
 #include "cache/voxel_bvh.h"
 #include "common/check.h"
@@ -49,155 +48,31 @@ void occluded(RTCScene scene, RayContext& context, RTCRay& ray) {
 }
 #endif
 
-// The candidates' window behind the best hit: 16 ulp of t for the rounding of t itself, and 2^-21
-// scene units for that of coordinates of magnitude 1.
-constexpr float kWindowRelative = 1.9073486328125e-06F;
-constexpr float kWindowAbsolute = 4.76837158203125e-07F;
-
-float widened(float t) { return t * (1.0F + kWindowRelative) + kWindowAbsolute; }
-float half_widened(float t) { return t * (1.0F + 0.5F * kWindowRelative) + 0.5F * kWindowAbsolute; }
-
 // True if a hit at t lies so clearly before the entry that nothing inside can be nearer.
 bool is_before(float t, float t_enter) { return widened(t) < t_enter; }
 
 // A query's state that the callbacks reach through Embree's context pointer.
 struct QueryContext : RayContext {
+  QueryContext(const Residency::Impl& of, RayQuery& asked, VoxelUses& noted)
+      : residency(&of), query(&asked), uses(&noted), search(asked.ray) {
+    init_context(*this);
+    search.t_best = asked.t_best;
+    search.triangle_before = asked.triangle_best;
+  }
+
   const Residency::Impl* residency = nullptr;
   RayQuery* query = nullptr;
   VoxelUses* uses = nullptr;
-  unsigned parallel_axes = 0;  // bit i: the ray runs (almost) parallel to the faces of axis i
-  Vec3 reciprocal{0.0F};       // of the direction on the other axes
+  HitSearch search;                       // its mesh is pinned by the guard
   std::optional<KernelRay> kernel_ray{};  // made when the first resident voxel is met
-  // The best hit's place, while its mesh is pinned by the guard.
-  const MeshArrays* arrays = nullptr;
-  std::uint32_t primitive = 0;
-  float u = 0.0F;
-  float v = 0.0F;
 };
-
-Vec3 vertex_at(const MeshArrays& arrays, std::uint32_t primitive, unsigned corner) {
-  const std::size_t vertex = arrays.indices[std::size_t{primitive} * 3 + corner];
-  return {arrays.positions[vertex * 3], arrays.positions[vertex * 3 + 1],
-          arrays.positions[vertex * 3 + 2]};
-}
-
-// Below this a direction's component is taken as parallel: over a scene's length such a ray leaves
-// a face by less than the rounding of a coordinate.
-constexpr float kParallelComponent = 9.5367431640625e-07F;
-
-unsigned parallel_axes(const Vec3& direction) {
-  unsigned axes = 0;
-  for (int axis = 0; axis < 3; ++axis) {
-    axes |= std::abs(direction[axis]) < kParallelComponent ? 1U << axis : 0U;
-  }
-  return axes;
-}
-
-// A ray that lies exactly in the far face of a box leaves it at t = 0 by Embree's slab test, and a
-// hit of a triangle that touches this face is then found or not as the layout has it. So a hit
-// counts only if the slab test of the triangle's own box admits it on the parallel axes: every box
-// around the triangle then admits it too, as the test is monotone in the box.
-bool own_box_admits(const QueryContext& context, const MeshArrays& arrays, std::uint32_t primitive,
-                    float t) {
-  constexpr float kReciprocalMax = 1e18F;  // Embree's bound on 1 / 0
-  const Vec3 a = vertex_at(arrays, primitive, 0);
-  const Vec3 b = vertex_at(arrays, primitive, 1);
-  const Vec3 c = vertex_at(arrays, primitive, 2);
-  for (int axis = 0; axis < 3; ++axis) {
-    if ((context.parallel_axes >> axis & 1U) == 0) { continue; }
-    const float direction = context.query->ray.direction[axis];
-    const float reciprocal = std::min(1.0F / std::abs(direction), kReciprocalMax) *
-                             (std::signbit(direction) ? -1.0F : 1.0F);
-    const float origin = context.query->ray.origin[axis];
-    const float t_low = (std::min({a[axis], b[axis], c[axis]}) - origin) * reciprocal;
-    const float t_high = (std::max({a[axis], b[axis], c[axis]}) - origin) * reciprocal;
-    if (!(std::min(t_low, t_high) <= t && t <= std::max(t_low, t_high))) { return false; }
-  }
-  return true;
-}
-
-// Where the ray enters and leaves the triangle's own box, by the axes that it is not parallel to.
-Interval own_box_span(const QueryContext& context, const MeshArrays& arrays,
-                      std::uint32_t primitive) {
-  const Vec3 a = vertex_at(arrays, primitive, 0);
-  const Vec3 b = vertex_at(arrays, primitive, 1);
-  const Vec3 c = vertex_at(arrays, primitive, 2);
-  const Vec3 low = (glm::min(glm::min(a, b), c) - context.query->ray.origin) * context.reciprocal;
-  const Vec3 high = (glm::max(glm::max(a, b), c) - context.query->ray.origin) * context.reciprocal;
-  Interval span{-kInfinity, kInfinity};
-  for (int axis = 0; axis < 3; ++axis) {
-    if ((context.parallel_axes >> axis & 1U) != 0) { continue; }
-    span.t_enter = std::max(span.t_enter, std::min(low[axis], high[axis]));
-    span.t_exit = std::min(span.t_exit, std::max(low[axis], high[axis]));
-  }
-  return span;
-}
-
-// Of a slab test's exit, behind which an entry means a miss: its rounding (pbrt-v4 section 6.1.2: 1
-// + 2 gamma(3)). Embree's robust boxes and voxel_kernel_body.h allow for twice as much and more.
-constexpr float kSlabRounding = 1.00000036F;
-
-// The t by which a hit is compared; nothing if it does not count. A triangle that a ray grazes or
-// passes within its edge's rounding can be met where the ray is not in the triangle's own box, and
-// whether larger boxes around it are entered in time is then the layout's choice. So a hit whose
-// own box is missed or lies outside the ray's range does not count, and none is nearer than its
-// box: whatever counts lies behind the entry of every box around it.
-std::optional<float> settled(const QueryContext& context, const MeshArrays& arrays,
-                             std::uint32_t primitive, float t) {
-  if (context.parallel_axes != 0 && !own_box_admits(context, arrays, primitive, t)) {
-    return std::nullopt;
-  }
-  const Interval span = own_box_span(context, arrays, primitive);
-  const float nearest = span.t_enter > half_widened(t) ? span.t_enter : t;
-  const Ray& ray = context.query->ray;
-  if (span.t_enter > span.t_exit * kSlabRounding || nearest > ray.t_max ||
-      span.t_enter > ray.t_max || span.t_exit < ray.t_min) {
-    return std::nullopt;
-  }
-  return nearest;
-}
-
-// The best triangle so far. Looked up when needed, as its line is rarely at hand.
-std::uint32_t best_triangle(const QueryContext& context) {
-  return context.arrays == nullptr ? context.query->triangle_best
-                                   : context.arrays->triangles[context.primitive];
-}
-
-bool is_lowest(const QueryContext& context, const MeshArrays& arrays, std::uint32_t primitive,
-               float t) {
-  const float t_best = context.query->t_best;
-  return t < t_best || (t == t_best && arrays.triangles[primitive] < best_triangle(context));
-}
-
-// Keeps the hit if it counts and is the lowest; returns how far candidates may lie from now on.
-float keep_lowest(QueryContext& context, const MeshArrays& arrays, std::uint32_t primitive, float t,
-                  float u, float v) {
-  RayQuery& query = *context.query;
-  // What is settled is never nearer.
-  if (is_lowest(context, arrays, primitive, t)) {
-    const std::optional<float> t_settled = settled(context, arrays, primitive, t);
-    if (t_settled && is_lowest(context, arrays, primitive, *t_settled)) {
-      query.t_best = *t_settled;
-      context.arrays = &arrays;
-      context.primitive = primitive;
-      // The surface is likely to be asked for, and its lines are far.
-      _mm_prefetch(arrays.indices.data() + (std::size_t{primitive} * 3 << arrays.indices.shift()),
-                   _MM_HINT_T0);
-      _mm_prefetch(&arrays.materials[primitive], _MM_HINT_T0);
-      _mm_prefetch(&arrays.triangles[primitive], _MM_HINT_T0);
-      context.u = u;
-      context.v = v;
-    }
-  }
-  return std::min(widened(query.t_best), query.ray.t_max);
-}
 
 void refuse_unsettled_blocker(const RTCFilterFunctionNArguments* arguments) {
   const auto& context = *static_cast<const QueryContext*>(arguments->context);
   const auto& arrays = *static_cast<const MeshArrays*>(arguments->geometryUserPtr);
   const auto& ray = *reinterpret_cast<const RTCRay*>(arguments->ray);
   const auto& hit = *reinterpret_cast<const RTCHit*>(arguments->hit);
-  if (!settled(context, arrays, hit.primID, ray.tfar)) { arguments->valid[0] = 0; }
+  if (!context.search.counts(arrays, hit.primID, ray.tfar)) { arguments->valid[0] = 0; }
 }
 
 void filter_closest(const RTCFilterFunctionNArguments* arguments) {
@@ -205,7 +80,7 @@ void filter_closest(const RTCFilterFunctionNArguments* arguments) {
   const auto& arrays = *static_cast<const MeshArrays*>(arguments->geometryUserPtr);
   auto& ray = *reinterpret_cast<RTCRay*>(arguments->ray);
   const auto& hit = *reinterpret_cast<const RTCHit*>(arguments->hit);
-  ray.tfar = keep_lowest(context, arrays, hit.primID, ray.tfar, hit.u, hit.v);
+  ray.tfar = context.search.keep_lowest(arrays, hit.primID, ray.tfar, hit.u, hit.v);
 }
 
 RTCGeometry new_triangle_geometry(RTCDevice device, const MeshArrays& arrays) {
@@ -266,54 +141,9 @@ void pop_missing(RayQuery& query) {
   --query.missing_count;
 }
 
-Vec3 shading_normal(const MeshArrays& arrays, std::uint32_t primitive,
-                    const std::array<float, 3>& weights, const Vec3& normal_geometric) {
-  if (arrays.normals.empty()) { return normal_geometric; }
-  Vec3 sum(0.0F);
-  for (unsigned corner = 0; corner < 3; ++corner) {
-    const std::uint32_t code = arrays.normals[arrays.indices[std::size_t{primitive} * 3 + corner]];
-    if (code == 0) { return normal_geometric; }
-    sum += decode_normal(code) * weights[corner];
-  }
-  const float length_squared = glm::dot(sum, sum);
-  if (!(length_squared > 1e-12F)) { return normal_geometric; }
-  const Vec3 normal = sum / std::sqrt(length_squared);
-  return glm::dot(normal, normal_geometric) < 0.0F ? -normal : normal;
-}
-
-void fill_surface(const QueryContext& context, RayQuery& query) {
-  query.triangle_best = best_triangle(context);
-  query.surface =
-      surface_of(*context.arrays, context.primitive, query.t_best, context.u, context.v);
-}
-
 const char* choose_isa() { return __builtin_cpu_supports("avx2") ? "avx2" : "sse4.2"; }
 
 }  // namespace
-
-// Error bounds as pbrt-v4 section 6.8.4, equation 6.25: gamma(7) times the sum of magnitudes.
-SurfaceHit surface_of(const MeshArrays& arrays, std::uint32_t primitive, float t, float u,
-                      float v) {
-  const std::array<float, 3> weights{1.0F - u - v, u, v};
-  const Vec3 a = vertex_at(arrays, primitive, 0);
-  const Vec3 b = vertex_at(arrays, primitive, 1);
-  const Vec3 c = vertex_at(arrays, primitive, 2);
-  SurfaceHit surface;
-  surface.position = a * weights[0] + b * weights[1] + c * weights[2];
-  const Vec3 magnitude =
-      glm::abs(a * weights[0]) + glm::abs(b * weights[1]) + glm::abs(c * weights[2]);
-  constexpr float kGamma7 = 4.1723277e-07F;
-  surface.position_error = kGamma7 * std::max({magnitude.x, magnitude.y, magnitude.z});
-  // In double, as the cross product of small edges would lose its bits or underflow in float.
-  const Vec3d normal = glm::cross(Vec3d(b) - Vec3d(a), Vec3d(c) - Vec3d(a));
-  const double length = std::sqrt(glm::dot(normal, normal));
-  surface.normal_geometric = Vec3(normal / length);
-  surface.normal_shading = shading_normal(arrays, primitive, weights, surface.normal_geometric);
-  surface.distance = t;
-  surface.triangle = arrays.triangles[primitive];
-  surface.material = arrays.materials[primitive];
-  return surface;
-}
 
 const char* tracing_isa() {
   static const char* const isa = choose_isa();
@@ -457,13 +287,13 @@ struct MeshQuery {
 
 float on_closest(void* user, std::uint32_t primitive, float t, float u, float v) {
   auto& query = *static_cast<MeshQuery*>(user);
-  query.t_far = keep_lowest(query.context, query.arrays, primitive, t, u, v);
+  query.t_far = query.context.search.keep_lowest(query.arrays, primitive, t, u, v);
   return query.t_far;
 }
 
 float on_blocker(void* user, std::uint32_t primitive, float t, float /*u*/, float /*v*/) {
   auto& query = *static_cast<MeshQuery*>(user);
-  if (settled(query.context, query.arrays, primitive, t)) { query.t_far = -kInfinity; }
+  if (query.context.search.counts(query.arrays, primitive, t)) { query.t_far = -kInfinity; }
   return query.t_far;
 }
 
@@ -518,15 +348,21 @@ void box_occluded(const RTCOccludedFunctionNArguments* arguments) {
   arguments->valid[0] = ray.tfar < 0.0F ? -1 : 0;
 }
 
-QueryContext make_context(const Residency::Impl& residency, RayQuery& query, VoxelUses& uses) {
-  QueryContext context;
-  init_context(context);
-  context.residency = &residency;
-  context.query = &query;
-  context.uses = &uses;
-  context.parallel_axes = parallel_axes(query.ray.direction);
-  context.reciprocal = 1.0F / query.ray.direction;
-  return context;
+// Takes over what the search found. A cold voxel may be evicted before shading looks at it, the hot
+// set never is.
+void keep_found(const QueryContext& context, RayQuery& query) {
+  const HitSearch& search = context.search;
+  if (search.arrays == nullptr) { return; }
+  query.t_best = search.t_best;
+  query.triangle_best = search.arrays->triangles[search.primitive];
+  const bool is_hot = search.arrays == &context.residency->hot_arrays;
+  query.hot_primitive = is_hot ? search.primitive : kNoTriangle;
+  if (is_hot) {
+    query.hot_u = search.u;
+    query.hot_v = search.v;
+  } else {
+    query.surface = surface_of(*search.arrays, search.primitive, query.t_best, search.u, search.v);
+  }
 }
 
 void query_scene(RTCScene scene, QueryContext& context, RayQuery& query) {
@@ -541,13 +377,13 @@ void query_scene(RTCScene scene, QueryContext& context, RayQuery& query) {
   ray_hit.hit.geomID = RTC_INVALID_GEOMETRY_ID;
   ray_hit.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
   intersect(scene, context, ray_hit);
-  if (context.arrays != nullptr) { fill_surface(context, query); }
+  keep_found(context, query);
 }
 
 void resume_in(const VoxelMesh& mesh, QueryContext& context, RayQuery& query) {
   const float t_far = query_mesh(context, mesh, t_far_of(query));
   query.blocked |= query.any_hit && t_far < 0.0F;
-  if (context.arrays != nullptr) { fill_surface(context, query); }
+  keep_found(context, query);
 }
 
 bool is_final(const RayQuery& query) {
@@ -591,11 +427,16 @@ Residency::Residency(TracingDevice& device, const HotMesh& hot, const SceneTable
 Residency::~Residency() { rtcReleaseScene(impl_->scene); }
 
 Residency::Answer Residency::trace(RayQuery& query, VoxelUses& uses) const {
-  QueryContext context = make_context(*impl_, query, uses);
+  QueryContext context(*impl_, query, uses);
   query.missing_count = 0;
   query.missing_overflow = false;
   query_scene(impl_->scene, context, query);
   return is_final(query) ? Answer::kFinal : Answer::kWaiting;
+}
+
+SurfaceHit Residency::surface(const RayQuery& query) const {
+  if (query.hot_primitive == kNoTriangle) { return query.surface; }
+  return surface_of(impl_->hot_arrays, query.hot_primitive, query.t_best, query.hot_u, query.hot_v);
 }
 
 Residency::Answer Residency::resume(RayQuery& query, VoxelUses& uses) const {
@@ -604,7 +445,7 @@ Residency::Answer Residency::resume(RayQuery& query, VoxelUses& uses) const {
       const MissingVoxel next = query.missing[0];
       const VoxelMesh* mesh = impl_->resident->lookup(next.voxel);
       if (mesh == nullptr) { return Answer::kWaiting; }
-      QueryContext context = make_context(*impl_, query, uses);
+      QueryContext context(*impl_, query, uses);
       uses.add(next.voxel);
       resume_in(*mesh, context, query);
       query.tested_up_to = next;

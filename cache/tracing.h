@@ -6,9 +6,9 @@
 //
 // The nearest hit is the lowest (t, global triangle id) among all candidates. Embree alone does not
 // give that: it keeps whichever of two equal hits it met first, and may skip a triangle whose box
-// begins a rounding error behind the best hit. So an intersection filter keeps tfar a little behind
-// the best t (widened), compares (t, id) itself and remembers the best; and a hit is final only if
-// it lies clearly before every noted entry. Only then are bits independent of the layout.
+// begins a rounding error behind the best hit. So a filter judges every hit (see hit_filter.h) and
+// keeps tfar a little behind the best t; and a hit is final only if it lies clearly before every
+// noted entry. Only then are bits independent of the layout.
 // Bits also depend on ISA, ROBUST and query width: all three are fixed here.
 #pragma once
 
@@ -18,6 +18,8 @@
 #include <span>
 #include <vector>
 
+#include "cache/hit_filter.h"
+#include "cache/mesh_arrays.h"
 #include "cache/resident_table.h"
 #include "cache/voxel_bvh.h"
 #include "cache/voxel_uses.h"
@@ -28,8 +30,6 @@
 #include "common/voxel_block.h"
 
 namespace preheat {
-
-inline constexpr std::uint32_t kNoTriangle = UINT32_MAX;
 
 struct MissingVoxel {
   float t_enter = 0.0F;
@@ -45,11 +45,16 @@ struct RayQuery {
   static constexpr std::size_t kMissingMax = 8;
 
   Ray ray{};
-  bool any_hit = false;  // true: only whether something blocks; t_best and surface stay unset
+  bool any_hit = false;  // true: only whether something blocks; t_best stays unset
   bool blocked = false;  // any_hit only
   float t_best = kInfinity;
   std::uint32_t triangle_best = kNoTriangle;
-  SurfaceHit surface{};  // of triangle_best
+  // Where triangle_best was met, which Residency::surface looks up: if it is hot, its place there,
+  // else kNoTriangle and the surface itself.
+  std::uint32_t hot_primitive = kNoTriangle;
+  float hot_u = 0.0F;
+  float hot_v = 0.0F;
+  SurfaceHit surface{};
   // The nearest missing voxels, in order; [0] is the one to wait for.
   std::array<MissingVoxel, kMissingMax> missing{};
   std::uint8_t missing_count = 0;
@@ -80,20 +85,6 @@ class TracingDevice {
  private:
   std::unique_ptr<Impl> impl_;
 };
-
-// What a filter and shading need of a triangle geometry, whichever scene it is in. The spans stay
-// valid and in place as long as the geometry.
-struct MeshArrays {
-  std::span<const float> positions{};          // [vertex_count * 3], 4 readable bytes behind
-  std::span<const std::uint32_t> normals{};    // [vertex_count] or empty
-  PackedIndices indices{};                     // [triangle_count * 3]
-  std::span<const std::uint16_t> materials{};  // [triangle_count]
-  std::span<const std::uint32_t> triangles{};  // [triangle_count] global ids
-};
-
-// What shading needs of a hit at `t` with the barycentric coordinates u and v of Embree.
-[[nodiscard]] SurfaceHit surface_of(const MeshArrays& arrays, std::uint32_t primitive, float t,
-                                    float u, float v);
 
 // One cold voxel, built: its block stays with the owner, the tree over it lives here.
 class VoxelMesh {
@@ -160,6 +151,9 @@ class Residency {
   // Goes on after missing[0] has become resident: tests it and whatever follows, never the whole
   // scene unless more than kMissingMax voxels were missing. kWaiting again if missing[0] is absent.
   Answer resume(RayQuery& query, VoxelUses& uses) const;
+
+  // What shading needs of a query's hit. Requires: query.has_hit(), of a query to this.
+  [[nodiscard]] SurfaceHit surface(const RayQuery& query) const;
 
   struct Impl;
 

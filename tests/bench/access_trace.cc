@@ -126,7 +126,7 @@ class RecordedScene {
     for (std::uint32_t depth = 0; vertex.has_scatter_ray; ++depth) {
       const RayQuery hit = trace(vertex.scatter, depth);
       if (!hit.has_hit()) { return; }
-      vertex = shading_.shade_hit(hit.ray, hit.surface, path);
+      vertex = shading_.shade_hit(hit.ray, residency_->surface(hit), path);
       if (vertex.has_shadow_ray) { trace(vertex.shadow, depth + 1); }
     }
   }

@@ -14,10 +14,8 @@ class BareEmbree {
  public:
   enum class HitFilter {
     kNone,
-    // What any renderer needs whose bits must not depend on the layout: the lowest (t, triangle)
-    // wins, and the window of candidates stays a little open behind it.
-    kLowest,
-    kLowestWithSurface,  // and what shading needs of the hit is fetched
+    kSame,             // as preheat judges hits, see hit_filter.h
+    kSameWithSurface,  // and what shading needs of the nearest hit is fetched
   };
 
   BareEmbree(const MeshArrays& mesh, HitFilter filter);  // `mesh` is copied, its arrays are not

@@ -57,10 +57,11 @@ inline RTCRay embree_ray(const Ray& ray) {
 }
 
 // A robust scene of these triangles alone. The spans outlive it, and 4 bytes behind the positions
-// can be read. `filter` may be nullptr; it finds `user` in its arguments.
+// can be read. The filters may be nullptr; they find `user` in their arguments.
 inline RTCScene triangle_scene(RTCDevice device, std::span<const float> positions,
-                               std::span<const std::uint32_t> indices, RTCFilterFunctionN filter,
-                               void* user) {
+                               std::span<const std::uint32_t> indices,
+                               RTCFilterFunctionN intersect_filter,
+                               RTCFilterFunctionN occluded_filter, void* user) {
   RTCScene scene = rtcNewScene(device);
   rtcSetSceneFlags(scene, RTC_SCENE_FLAG_ROBUST);
   RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
@@ -69,7 +70,8 @@ inline RTCScene triangle_scene(RTCDevice device, std::span<const float> position
   rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, indices.data(),
                              0, 3 * sizeof(std::uint32_t), indices.size() / 3);
   rtcSetGeometryUserData(geometry, user);
-  rtcSetGeometryIntersectFilterFunction(geometry, filter);
+  rtcSetGeometryIntersectFilterFunction(geometry, intersect_filter);
+  rtcSetGeometryOccludedFilterFunction(geometry, occluded_filter);
   rtcCommitGeometry(geometry);
   rtcAttachGeometry(scene, geometry);
   rtcReleaseGeometry(geometry);

@@ -111,7 +111,7 @@ class Layout {
     answer(closest);
     outcome.t = closest.t_best;
     outcome.triangle = closest.triangle_best;
-    outcome.surface = closest.surface;
+    if (closest.has_hit()) { outcome.surface = residency_->surface(closest); }
     RayQuery any;
     any.ray = ray;
     any.any_hit = true;
