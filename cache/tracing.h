@@ -153,8 +153,9 @@ class Residency {
 
   enum class Answer { kFinal, kWaiting };
 
-  // Queries everything that is resident, and says in `uses` which cold voxels that was. Requires: a
-  // Guard of this thread on the resident table.
+  // Queries everything that is resident, and says in `uses` which cold voxels that was. A ray that
+  // is none (NaN, infinite, an empty range) meets nothing. Requires: a Guard of this thread on the
+  // resident table.
   Answer trace(RayQuery& query, VoxelUses& uses) const;
 
   // Goes on after missing[0] has become resident: tests it and whatever follows, never the whole

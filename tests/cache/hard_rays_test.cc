@@ -382,6 +382,44 @@ TEST(HardRays, MeetSliversThatTheyPassAndInThem) {
   }
 }
 
+// A ray that has no direction or place, or is farther away than float can square, meets nothing.
+TEST(HardRays, ThatAreNoneMeetNothing) {
+  constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+  const Scene scene = test::soup(300, 0.3F, 5);
+  const GridStore store = test::cut_into_grid(scene, 3);
+  Layout hot(store, every_voxel(store, 1), 0);
+  Layout mixed(store, every_voxel(store, 2), 2);
+  Layout cold(store, {}, 1);
+  std::vector<Ray> none{
+      {Vec3(0.1F), Vec3(0.0F)},
+      {Vec3(0.1F), Vec3(-0.0F)},
+      {Vec3(0.1F), Vec3(kNan)},
+      {Vec3(kNan), Vec3(0.0F, 0.0F, 1.0F)},
+      {Vec3(0.1F), Vec3(0.0F, 0.0F, 1.0F), kNan, kInfinity},
+      {Vec3(0.1F), Vec3(0.0F, 0.0F, 1.0F), 0.0F, kNan},
+      {Vec3(0.1F), Vec3(0.0F, 0.0F, 1.0F), 0.5F, 0.25F},
+      {Vec3(0.1F), Vec3(0.0F, 0.0F, 1.0F), 0.0F, -1.0F},
+      {Vec3(kInfinity), Vec3(0.0F, 0.0F, 1.0F)},
+      {Vec3(0.1F, 0.1F, -1e20F), Vec3(0.0F, 0.0F, 1.0F)},
+      {Vec3(0.1F), Vec3(0.0F, 0.0F, kInfinity)},
+  };
+  for (int axis = 0; axis < 3; ++axis) {
+    Ray ray{Vec3(0.1F), Vec3(0.6F, 0.64F, 0.48F)};
+    ray.direction[axis] = kNan;
+    none.push_back(ray);
+    ray = {Vec3(0.1F), Vec3(0.6F, 0.64F, 0.48F)};
+    ray.origin[axis] = kNan;
+    none.push_back(ray);
+  }
+  for (std::size_t index = 0; index < none.size(); ++index) {
+    for (Layout* layout : {&hot, &mixed, &cold}) {
+      const Outcome outcome = layout->trace(none[index]);
+      EXPECT_EQ(outcome.triangle, kNoTriangle) << "ray " << index;
+      EXPECT_FALSE(outcome.any_hit) << "ray " << index;
+    }
+  }
+}
+
 // Hits at the ends of the ray's range count, and only within it. The flat triangle is met at
 // exactly z = 1/4, the tilted one, whose box holds more than its plane, there up to rounding.
 TEST(HardRays, MeetNothingOutsideTheirRange) {
