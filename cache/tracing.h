@@ -31,6 +31,10 @@ namespace preheat {
 
 inline constexpr std::uint32_t kNoTriangle = UINT32_MAX;
 
+// What Embree takes for the box of a voxel outside the hot set, at most, beside kBvhBytesFixed for
+// all: memory of a worker that is no part of its cache.
+inline constexpr std::uint64_t kColdBoxBytes = 128;
+
 struct MissingVoxel {
   float t_enter = 0.0F;
   VoxelId voxel{};

@@ -230,6 +230,54 @@ TEST(HotMesh, StaysWithinTheBytesOfItsVoxelsHoweverManyTheyAre) {
   }
 }
 
+// The boxes of the others are beside that.
+TEST(HotMesh, IsJoinedByBoxesOfAFewBytesEach) {
+  const GridStore store = test::cut_into_grid(test::soup(9000, 0.05F, 7), 10);
+  for (const std::uint32_t stride : {1U, 2U, 10U, 1000U}) {
+    const std::vector<VoxelId> hot = every_voxel(store, stride);
+    std::vector<VoxelId> cold;
+    std::uint64_t bytes_max = 2 * kBvhBytesFixed;
+    for (std::uint32_t id = 0; id < store.blocks.size(); ++id) {
+      const bool is_hot = id % stride == 0;
+      if (!is_hot) { cold.push_back(VoxelId{id}); }
+      bytes_max += is_hot ? store.tables.voxels[id].hot_bytes() : kColdBoxBytes;
+    }
+    HotMesh mesh(store.tables, hot);
+    for (const VoxelId voxel : hot) { mesh.add(store.view(voxel)); }
+    mesh.all_added();
+    ResidentTable table(store.blocks.size(), 1);
+    TracingDevice device(1);
+
+    const Residency residency(device, mesh, store.tables, cold, table);
+
+    EXPECT_LE(mesh.bytes() + device.bytes(), bytes_max) << cold.size() << " cold";
+  }
+}
+
+TEST(Residency, TakesAFewBytesForEachOfManyColdVoxels) {
+  test::SoupRandom random(3);
+  for (const std::uint32_t count : {1U, 8U, 100U, 3000U, 100'000U}) {
+    SceneTables tables;
+    std::vector<VoxelId> cold;
+    for (std::uint32_t id = 0; id < count; ++id) {
+      VoxelEntry entry;
+      entry.bounds.extend(random.in_cube(-1.0F, 0.99F));
+      entry.bounds.extend(entry.bounds.low + Vec3(0.01F));
+      tables.voxels.push_back(entry);
+      cold.push_back(VoxelId{id});
+    }
+    ResidentTable table(count, 1);
+    TracingDevice device(1);
+    const HotMesh none(tables, {});
+
+    const Residency residency(device, none, tables, cold, table);
+
+    EXPECT_GT(device.bytes(), 0U);
+    EXPECT_LE(device.bytes(), kBvhBytesFixed + kColdBoxBytes * count) << count << " cold";
+    EXPECT_LE(device.bytes_peak(), 2 * (kBvhBytesFixed + kColdBoxBytes * count)) << count;
+  }
+}
+
 TEST(Accesses, CountEveryVoxelThatTheRayEntersBeforeItsEnd) {
   const auto seed = static_cast<std::uint32_t>(std::random_device{}());
   std::cout << "seed=" << seed << '\n';
