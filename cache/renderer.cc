@@ -357,6 +357,10 @@ void Renderer::Impl::build_hot_set() {
   for (std::size_t voxel = 0; voxel < is_hot_.size(); ++voxel) {
     if (is_hot_[voxel]) { promised += tables_.voxels[voxel].hot_bytes(); }
   }
+#ifndef NDEBUG
+  CHECK(hot_mesh_->bytes() + hot_device_.bytes() <=
+        promised + kBvhBytesFixed + kColdBoxBytes * cold.size());
+#endif
   hot_bytes_ = std::min(promised, hot_mesh_->bytes() + hot_device_.bytes());
   build_peak_bytes_ = std::max(build_peak_bytes_, hot_device_.bytes_peak() - hot_device_.bytes());
   preload_.seconds = seconds_since(hot_begin_);

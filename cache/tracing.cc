@@ -3,6 +3,7 @@
 #include <spdlog/spdlog.h>
 
 #include <atomic>
+#include <cmath>
 #include <cstring>
 #include <mutex>
 #include <optional>
@@ -139,6 +140,16 @@ void pop_missing(RayQuery& query) {
   std::copy(query.missing.begin() + 1, query.missing.begin() + query.missing_count,
             query.missing.begin());
   --query.missing_count;
+}
+
+// Embree aborts on any other ray, and none of them meets anything: coordinates are numbers within
+// the range whose squares float has, and the range of t is one.
+bool is_traceable(const Ray& ray) {
+  constexpr float kCoordinateMax = 1e18F;
+  const auto is_number = [](float coordinate) { return std::abs(coordinate) <= kCoordinateMax; };
+  return is_number(ray.origin.x) && is_number(ray.origin.y) && is_number(ray.origin.z) &&
+         is_number(ray.direction.x) && is_number(ray.direction.y) && is_number(ray.direction.z) &&
+         ray.t_min >= 0.0F && ray.t_min <= ray.t_max;
 }
 
 const char* choose_isa() { return __builtin_cpu_supports("avx2") ? "avx2" : "sse4.2"; }
@@ -427,9 +438,10 @@ Residency::Residency(TracingDevice& device, const HotMesh& hot, const SceneTable
 Residency::~Residency() { rtcReleaseScene(impl_->scene); }
 
 Residency::Answer Residency::trace(RayQuery& query, VoxelUses& uses) const {
-  QueryContext context(*impl_, query, uses);
   query.missing_count = 0;
   query.missing_overflow = false;
+  if (!is_traceable(query.ray)) { return Answer::kFinal; }
+  QueryContext context(*impl_, query, uses);
   query_scene(impl_->scene, context, query);
   return is_final(query) ? Answer::kFinal : Answer::kWaiting;
 }

@@ -31,6 +31,10 @@
 
 namespace preheat {
 
+// What Embree takes for the box of a voxel outside the hot set, at most, beside kBvhBytesFixed for
+// all: memory of a worker that is no part of its cache.
+inline constexpr std::uint64_t kColdBoxBytes = 128;
+
 struct MissingVoxel {
   float t_enter = 0.0F;
   VoxelId voxel{};
@@ -144,8 +148,9 @@ class Residency {
 
   enum class Answer { kFinal, kWaiting };
 
-  // Queries everything that is resident, and says in `uses` which cold voxels that was. Requires: a
-  // Guard of this thread on the resident table.
+  // Queries everything that is resident, and says in `uses` which cold voxels that was. A ray that
+  // is none (NaN, infinite, an empty range) meets nothing. Requires: a Guard of this thread on the
+  // resident table.
   Answer trace(RayQuery& query, VoxelUses& uses) const;
 
   // Goes on after missing[0] has become resident: tests it and whatever follows, never the whole

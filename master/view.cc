@@ -98,6 +98,14 @@ Result<void> adjust(Camera& camera, bool is_framed, const Vec3d& centre,
   return fail(ExitCode::kUsage, "--up is zero or points along the view");
 }
 
+// From farther away a coordinate's square is none in float, and no ray would meet anything.
+constexpr float kOriginMax = 1e18F;
+
+bool is_in_reach(const View& view) {
+  const Vec3 distance = glm::abs(view.origin);
+  return distance.x <= kOriginMax && distance.y <= kOriginMax && distance.z <= kOriginMax;
+}
+
 std::string color_text(const Vec3& color) {
   return fmt::format("{},{},{}", color.x, color.y, color.z);
 }
@@ -132,6 +140,11 @@ Result<ResolvedView> resolve_view(const SceneTables& tables, const std::vector<C
   settings.bounces = options.bounces;
   settings.seed = options.seed;
   settings.view = make_view(resolved.camera, tables.frame, settings.width, settings.height);
+  if (!is_in_reach(settings.view)) {
+    return fail(ExitCode::kUsage,
+                fmt::format("the camera ({}) is more than {:.0e} times the scene's size away",
+                            resolved.camera_source, static_cast<double>(kOriginMax)));
+  }
   const bool has_light = !tables.emissive_triangles.empty() || !tables.lights.empty();
   settings.sky = options.sky.value_or(Vec3(has_light ? 0.0F : 1.0F));
   resolved.sky_source = options.sky ? "option: " + color_text(settings.sky)

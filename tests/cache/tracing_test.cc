@@ -2,22 +2,25 @@
 
 #include <gtest/gtest.h>
 
-#include <cstring>
-#include <functional>
 #include <iostream>
-#include <map>
-#include <numeric>
 #include <optional>
+#include <random>
 #include <set>
 
+#include "tests/cache/layouts.h"
 #include "tests/scenes/grid_store.h"
 #include "tests/scenes/soups.h"
 
 namespace preheat {
 namespace {
 
+using test::every_voxel;
 using test::GridStore;
+using test::Layout;
+using test::Outcome;
+using test::same_bits;
 using test::SoupRandom;
+using test::unit_direction;
 
 // The soup with some triangles repeated exactly, so that the lowest id must win.
 Scene soup_with_coincident_triangles(std::size_t triangle_count, std::uint32_t seed) {
@@ -26,14 +29,6 @@ Scene soup_with_coincident_triangles(std::size_t triangle_count, std::uint32_t s
     scene.triangles.push_back(scene.triangles[id * 7 % triangle_count]);
   }
   return scene;
-}
-
-Vec3 unit_direction(SoupRandom& random) {
-  for (;;) {
-    const Vec3 direction = random.in_cube(-1.0F, 1.0F);
-    const float squared = glm::dot(direction, direction);
-    if (squared > 0.01F && squared < 1.0F) { return direction / std::sqrt(squared); }
-  }
 }
 
 enum class RayFamily { kRandom, kInVoxelFace, kAxisParallel, kAlongEdge, kAtVertex };
@@ -72,105 +67,6 @@ Ray make_ray(const Scene& scene, RayFamily family, SoupRandom& random) {
   return ray;
 }
 
-// Everything that reaches shading, bit by bit.
-struct Outcome {
-  bool any_hit = false;
-  float t = 0.0F;
-  std::uint32_t triangle = kNoTriangle;
-  SurfaceHit surface{};
-};
-
-bool same_bits(const Outcome& a, const Outcome& b) {
-  if (a.any_hit != b.any_hit || a.triangle != b.triangle) { return false; }
-  return a.triangle == kNoTriangle || (std::memcmp(&a.t, &b.t, sizeof a.t) == 0 &&
-                                       std::memcmp(&a.surface, &b.surface, sizeof a.surface) == 0);
-}
-
-// A residency over some hot voxels, with at most `resident_max` cold ones published, first in first
-// out.
-class Layout {
- public:
-  Layout(const GridStore& store, const std::vector<VoxelId>& hot, std::size_t resident_max)
-      : store_(store),
-        resident_max_(resident_max),
-        table_(store.blocks.size(), 1),
-        uses_(store.blocks.size()),
-        hot_mesh_(store.tables, hot) {
-    std::set<VoxelId> hot_ids(hot.begin(), hot.end());
-    for (const VoxelId voxel : hot) { hot_mesh_.add(store.view(voxel)); }
-    for (std::uint32_t id = 0; id < store.blocks.size(); ++id) {
-      if (!hot_ids.contains(VoxelId{id})) { cold_.push_back(VoxelId{id}); }
-    }
-    residency_.emplace(device_, hot_mesh_, store.tables, cold_, table_);
-  }
-
-  Outcome trace(const Ray& ray) {
-    Outcome outcome;
-    RayQuery closest;
-    closest.ray = ray;
-    answer(closest);
-    outcome.t = closest.t_best;
-    outcome.triangle = closest.triangle_best;
-    if (closest.has_hit()) { outcome.surface = residency_->surface(closest); }
-    RayQuery any;
-    any.ray = ray;
-    any.any_hit = true;
-    answer(any);
-    outcome.any_hit = any.blocked;
-    return outcome;
-  }
-
-  [[nodiscard]] std::size_t parked_count() const { return parked_count_; }
-  [[nodiscard]] std::size_t parked_longest() const { return parked_longest_; }
-
- private:
-  void answer(RayQuery& query) {
-    const ResidentTable::Guard guard(table_, 0);
-    Residency::Answer answer = residency_->trace(query, uses_);
-    std::size_t parked = 0;
-    while (answer == Residency::Answer::kWaiting) {
-      ++parked;
-      ASSERT_LE(parked, store_.blocks.size()) << "a voxel was asked for twice";
-      make_resident(query.missing[0].voxel);
-      answer = residency_->resume(query, uses_);
-    }
-    parked_count_ += parked;
-    parked_longest_ = std::max(parked_longest_, parked);
-  }
-
-  void make_resident(VoxelId voxel) {
-    if (published_.size() == resident_max_) {
-      static_cast<void>(table_.withdraw(published_.front()));
-      published_.erase(published_.begin());
-    }
-    std::unique_ptr<VoxelMesh>& mesh = meshes_[voxel];
-    if (mesh == nullptr) { mesh = std::make_unique<VoxelMesh>(store_.view(voxel)); }
-    table_.publish(voxel, mesh.get());
-    published_.push_back(voxel);
-  }
-
-  const GridStore& store_;
-  std::size_t resident_max_;
-  TracingDevice device_{1};
-  ResidentTable table_;
-  VoxelUses uses_;
-  HotMesh hot_mesh_;
-  std::vector<VoxelId> cold_;
-  std::optional<Residency> residency_;
-  std::map<VoxelId, std::unique_ptr<VoxelMesh>> meshes_;
-  std::vector<VoxelId> published_;
-  std::size_t parked_count_ = 0;
-  std::size_t parked_longest_ = 0;
-};
-
-std::vector<VoxelId> every_voxel(const GridStore& store, std::uint32_t stride) {
-  std::vector<VoxelId> voxels;
-  for (std::uint32_t id = 0; id < store.blocks.size(); id += stride) {
-    voxels.push_back(VoxelId{id});
-  }
-  return voxels;
-}
-
 TEST(Residency, GivesTheSameBitsInEveryLayout) {
   const auto seed = static_cast<std::uint32_t>(std::random_device{}());
   std::cout << "seed=" << seed << '\n';
@@ -197,77 +93,6 @@ TEST(Residency, GivesTheSameBitsInEveryLayout) {
   EXPECT_GT(hits, 100000U);
   EXPECT_GT(one_resident.parked_longest(), RayQuery::kMissingMax) << "no ray asked again";
   EXPECT_GT(few_resident.parked_count(), 10000U);
-}
-
-constexpr auto kEpsilon = static_cast<double>(std::numeric_limits<float>::epsilon());
-
-// Moeller-Trumbore in double; t and whether the ray is clear of the triangle's edges.
-struct ExactHit {
-  double t = std::numeric_limits<double>::infinity();
-  double margin = 0.0;  // least barycentric coordinate
-  double cosine = 0.0;
-  double rounding = 0.0;  // how far t in float may be off
-};
-
-std::optional<ExactHit> intersect_exactly(const Scene& scene, std::uint32_t id, const Ray& ray) {
-  const auto& v = scene.triangles[id].vertices;
-  const Vec3d a(scene.positions[v[0]]);
-  const Vec3d edge1 = Vec3d(scene.positions[v[1]]) - a;
-  const Vec3d edge2 = Vec3d(scene.positions[v[2]]) - a;
-  const Vec3d direction(ray.direction);
-  const Vec3d p = glm::cross(direction, edge2);
-  const double determinant = glm::dot(edge1, p);
-  if (determinant == 0.0) { return std::nullopt; }
-  const Vec3d s = Vec3d(ray.origin) - a;
-  const double u = glm::dot(s, p) / determinant;
-  const Vec3d q = glm::cross(s, edge1);
-  const double w = glm::dot(direction, q) / determinant;
-  ExactHit hit;
-  hit.t = glm::dot(edge2, q) / determinant;
-  hit.margin = std::min({u, w, 1.0 - u - w});
-  const Vec3d normal = glm::cross(edge1, edge2);
-  hit.cosine = std::abs(glm::dot(glm::normalize(normal), direction));
-  // t is the height over the plane divided by the cosine. A needle's normal loses as many digits as
-  // its edges are longer than their cross product.
-  const double cancelled = glm::length(edge1) * glm::length(edge2) / glm::length(normal);
-  hit.rounding = 16.0 * kEpsilon * glm::length(s) * cancelled / hit.cosine;
-  if (hit.t < 0.0 || hit.margin < 0.0) { return std::nullopt; }
-  return hit;
-}
-
-// Rays whose nearest hit in double is clear of edges and not grazing: there float must agree.
-TEST(Residency, FindsWhatASearchOfAllTrianglesInDoubleFinds) {
-  const auto seed = static_cast<std::uint32_t>(std::random_device{}());
-  std::cout << "seed=" << seed << '\n';
-  const Scene scene = soup_with_coincident_triangles(400, seed);
-  const GridStore store = test::cut_into_grid(scene, 3);
-  Layout layout(store, every_voxel(store, 2), 3);
-  SoupRandom random(seed);
-
-  int clear = 0;
-  for (int ray_index = 0; ray_index < 200000; ++ray_index) {
-    const Ray ray = make_ray(scene, kRayFamilies[ray_index % 3], random);
-    ExactHit nearest;
-    bool grazed = false;
-    for (std::uint32_t id = 0; id < scene.triangles.size(); ++id) {
-      const std::optional<ExactHit> hit = intersect_exactly(scene, id, ray);
-      if (!hit || hit->t >= nearest.t) { continue; }
-      grazed = hit->margin < 1e-4 || hit->cosine < 1e-3 || hit->t < 1e-4;
-      nearest = *hit;
-    }
-    if (grazed) { continue; }
-    ++clear;
-    const Outcome outcome = layout.trace(ray);
-    if (nearest.t == std::numeric_limits<double>::infinity()) { continue; }
-    ASSERT_NE(outcome.triangle, kNoTriangle) << "ray " << ray_index;
-    ASSERT_TRUE(outcome.any_hit) << "ray " << ray_index;
-    const auto t = static_cast<double>(outcome.t);
-    ASSERT_LE(t, nearest.t + nearest.rounding) << "ray " << ray_index;
-    const std::optional<ExactHit> found = intersect_exactly(scene, outcome.triangle, ray);
-    ASSERT_TRUE(!found || std::abs(found->t - t) <= found->rounding)
-        << "ray " << ray_index << ": " << t << " instead of " << found->t;
-  }
-  EXPECT_GT(clear, 150000);
 }
 
 // Bars with faces in axis planes: where two faces meet, a ray within the rounding of their edge can
@@ -402,6 +227,54 @@ TEST(HotMesh, StaysWithinTheBytesOfItsVoxelsHoweverManyTheyAre) {
     const Residency residency(device, mesh, store.tables, {}, table);
 
     EXPECT_LE(mesh.bytes() + device.bytes(), bytes_max) << count << " voxels";
+  }
+}
+
+// The boxes of the others are beside that.
+TEST(HotMesh, IsJoinedByBoxesOfAFewBytesEach) {
+  const GridStore store = test::cut_into_grid(test::soup(9000, 0.05F, 7), 10);
+  for (const std::uint32_t stride : {1U, 2U, 10U, 1000U}) {
+    const std::vector<VoxelId> hot = every_voxel(store, stride);
+    std::vector<VoxelId> cold;
+    std::uint64_t bytes_max = 2 * kBvhBytesFixed;
+    for (std::uint32_t id = 0; id < store.blocks.size(); ++id) {
+      const bool is_hot = id % stride == 0;
+      if (!is_hot) { cold.push_back(VoxelId{id}); }
+      bytes_max += is_hot ? store.tables.voxels[id].hot_bytes() : kColdBoxBytes;
+    }
+    HotMesh mesh(store.tables, hot);
+    for (const VoxelId voxel : hot) { mesh.add(store.view(voxel)); }
+    mesh.all_added();
+    ResidentTable table(store.blocks.size(), 1);
+    TracingDevice device(1);
+
+    const Residency residency(device, mesh, store.tables, cold, table);
+
+    EXPECT_LE(mesh.bytes() + device.bytes(), bytes_max) << cold.size() << " cold";
+  }
+}
+
+TEST(Residency, TakesAFewBytesForEachOfManyColdVoxels) {
+  test::SoupRandom random(3);
+  for (const std::uint32_t count : {1U, 8U, 100U, 3000U, 100'000U}) {
+    SceneTables tables;
+    std::vector<VoxelId> cold;
+    for (std::uint32_t id = 0; id < count; ++id) {
+      VoxelEntry entry;
+      entry.bounds.extend(random.in_cube(-1.0F, 0.99F));
+      entry.bounds.extend(entry.bounds.low + Vec3(0.01F));
+      tables.voxels.push_back(entry);
+      cold.push_back(VoxelId{id});
+    }
+    ResidentTable table(count, 1);
+    TracingDevice device(1);
+    const HotMesh none(tables, {});
+
+    const Residency residency(device, none, tables, cold, table);
+
+    EXPECT_GT(device.bytes(), 0U);
+    EXPECT_LE(device.bytes(), kBvhBytesFixed + kColdBoxBytes * count) << count << " cold";
+    EXPECT_LE(device.bytes_peak(), 2 * (kBvhBytesFixed + kColdBoxBytes * count)) << count;
   }
 }
 

@@ -48,7 +48,7 @@ class EmbreeBlock {
   EmbreeBlock(const VoxelBlockView& block, const std::string& isa)
       : device_(rtcNewDevice(("isa=" + isa).c_str())),
         indices_(block.indices.unpacked()),
-        scene_(test::triangle_scene(device_, block.positions, indices_, collect_and_refuse,
+        scene_(test::triangle_scene(device_, block.positions, indices_, collect_and_refuse, nullptr,
                                     nullptr)) {}
   ~EmbreeBlock() {
     rtcReleaseScene(scene_);

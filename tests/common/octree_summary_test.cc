@@ -163,7 +163,7 @@ TEST(OctreeSummary, IsASmallShareOfTheBlocks) {
     const Octree octree = build_octree(scene, {});
     const std::size_t bytes = encode_octree_summary(build_octree_summary(scene, octree)).size();
     const std::size_t blocks = voxel_block_bytes(scene.positions.size(), triangles, false);
-    EXPECT_LE(bytes * 25, blocks + 25 * 64) << triangles;
+    EXPECT_LE(bytes * 20, blocks + 20 * 64) << triangles;
   }
 }
 

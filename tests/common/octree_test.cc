@@ -4,18 +4,24 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstring>
+#include <iostream>
 #include <numeric>
+#include <random>
 #include <set>
 #include <span>
 #include <vector>
 
+#include "common/box_clip.h"
 #include "common/scene_tables.h"
+#include "tests/scenes/ray_count.h"
 #include "tests/scenes/soups.h"
 
 namespace preheat {
 namespace {
 
+using test::ray_count;
 using test::SoupRandom;
 
 struct Leaf {
@@ -370,6 +376,70 @@ TEST(TriangleOverlapsBox, IsConservative) {
       const Vec3 half = random.in_cube(0.0F, 1.0F) * (repeat % 2 == 0 ? 1e-4F : 0.2F);
       const Aabb box = grown_cell({point - half, point + half});
       EXPECT_TRUE(triangle_overlaps_box(v[0], v[1], v[2], box)) << "triangle " << triangle;
+    }
+  }
+}
+
+// Triangles that touch a box by a corner, an edge or a face, on either side of rounding: what
+// clipping in double keeps overlaps, and what overlaps is kept by a box larger by a hair.
+TEST(TriangleOverlapsBox, AgreesWithClippingInDouble) {
+  const auto seed = static_cast<std::uint32_t>(std::random_device{}());
+  std::cout << "seed=" << seed << '\n';
+  const Scene scene = test::soup(2000, 0.3F, seed);
+  SoupRandom random(seed);
+  std::size_t overlapping = 0;
+  std::size_t lost = 0;
+  std::size_t invented = 0;
+  for (int index = 0; index < ray_count(1'000'000); ++index) {
+    const auto triangle = random.below(static_cast<std::uint32_t>(scene.triangles.size()));
+    const std::array<Vec3, 3> v = vertices_of(scene, triangle);
+    const Vec3 point = random_point(v, random);
+    Aabb box;
+    for (int axis = 0; axis < 3; ++axis) {
+      // From the point to one side of it, around it, or a last bit beside it.
+      const float width = random.below(8) == 0 ? 0.0F : random.in(0.0F, 0.5F);
+      const float at = random.below(4) == 0 ? std::nextafter(point[axis], 2.0F) : point[axis];
+      box.low[axis] = random.below(2) == 0 ? at : at - width;
+      box.high[axis] = box.low[axis] + width;
+    }
+    const std::array<Vec3d, 3> exact{Vec3d(v[0]), Vec3d(v[1]), Vec3d(v[2])};
+    const bool overlaps = triangle_overlaps_box(v[0], v[1], v[2], box);
+    overlapping += overlaps ? 1U : 0U;
+    lost += !overlaps && clip_to_box(exact, box).count > 0 ? 1U : 0U;
+    if (overlaps) {
+      const Aabb larger{box.low - Vec3(1e-6F), box.high + Vec3(1e-6F)};
+      invented += clip_to_box(exact, larger).count == 0 ? 1U : 0U;
+    }
+  }
+
+  EXPECT_EQ(lost, 0U);
+  // The normal of a needle says little of its plane.
+  EXPECT_LE(invented * 1000, overlapping);
+  EXPECT_GT(overlapping, static_cast<std::size_t>(ray_count(300'000)));
+  EXPECT_LT(overlapping, static_cast<std::size_t>(ray_count(900'000)));
+}
+
+// Down to the deepest level a point's cell holds it, and has its share of the root.
+TEST(Octree, CellsOfEveryLevelHoldTheirPoints) {
+  const auto seed = static_cast<std::uint32_t>(std::random_device{}());
+  std::cout << "seed=" << seed << '\n';
+  const Scene scene = test::soup(100, 0.3F, seed);
+  const Octree octree = build_octree(scene, {});
+  SoupRandom random(seed);
+  for (int index = 0; index < 20'000; ++index) {
+    Vec3 point = random.in_cube(-1.0F, 1.0F);
+    if (index % 2 == 0) { point = scene.positions[random.below(300)]; }
+    Aabb cell = octree.root;
+    for (std::uint32_t depth = 1; depth <= kOctreeDepthMax; ++depth) {
+      unsigned octant = 0;
+      while (octant < 8 && !contains(child_cell(cell, octant), point)) { ++octant; }
+      ASSERT_LT(octant, 8U) << "depth " << depth;
+      cell = child_cell(cell, octant);
+      const double width =
+          std::ldexp(static_cast<double>(octree.root.extent().x), -static_cast<int>(depth));
+      for (int axis = 0; axis < 3; ++axis) {
+        ASSERT_NEAR(static_cast<double>(cell.extent()[axis]), width, 0x1p-22) << "depth " << depth;
+      }
     }
   }
 }

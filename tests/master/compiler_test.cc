@@ -6,6 +6,7 @@
 #include <set>
 
 #include "common/scene_tables_codec.h"
+#include "common/sha256.h"
 #include "common/store.h"
 #include "common/voxel_block.h"
 #include "tests/scenes/scratch_folder.h"
@@ -62,6 +63,18 @@ TEST(Compiler, WritesTheSameBytesOnAnyNumberOfThreads) {
     ASSERT_TRUE(compile_and_open(scene, folder / "many.store", {.threads = threads}));
     EXPECT_TRUE(one == test::read_file(folder / "many.store")) << threads << " threads";
   }
+}
+
+// The store of a small scene, as a hash of its bytes: it may change with the store's version only,
+// never with the compiler, its options, sanitizers or the machine.
+TEST(Compiler, WritesTheSameBytesInEveryBuild) {
+  const ScratchFolder folder;
+  ASSERT_TRUE(compile_and_open(test::soup(2000, 0.05F, 9), folder / "a.store"));
+
+  const std::string bytes = test::read_file(folder / "a.store");
+
+  EXPECT_EQ(sha256_hex({reinterpret_cast<const std::byte*>(bytes.data()), bytes.size()}),
+            "df5ec1555518eac43a6465d2adaea000b46559c41aed88495115c449d31433e1");
 }
 
 TEST(Compiler, OfAnEmptySceneHasNoVoxels) {

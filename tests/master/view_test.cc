@@ -119,6 +119,22 @@ TEST(ResolveView, RefusesViewsThatHaveNoDirection) {
   EXPECT_FALSE(resolve_view(box_tables(), {}, options).has_value());
 }
 
+TEST(ResolveView, RefusesViewsFromFartherThanFloatCanSquare) {
+  for (const double far : {1e30, -1e39, 1e100}) {
+    ViewOptions options;
+    options.eye = Vec3d(0.0, 0.0, far);
+
+    const auto view = resolve_view(box_tables(), two_cameras(), options);
+
+    ASSERT_FALSE(view.has_value()) << far;
+    EXPECT_EQ(view.error().code, ExitCode::kUsage);
+    EXPECT_THAT(view.error().message, HasSubstr("away"));
+  }
+  ViewOptions options;
+  options.eye = Vec3d(0.0, 0.0, 1e12);
+  EXPECT_TRUE(resolve_view(box_tables(), two_cameras(), options).has_value());
+}
+
 TEST(ResolveView, TheSkyShinesOnlyWhereNothingElseDoes) {
   SceneTables tables = box_tables();
   EXPECT_EQ(resolve_view(tables, {}, {})->settings.sky, Vec3(1.0F));

@@ -89,6 +89,7 @@ inline GridStore cut_into_grid(const Scene& scene, int cells) {
          {scene.positions[triangle.vertices[0]], scene.positions[triangle.vertices[1]],
           scene.positions[triangle.vertices[2]]}});
   }
+  if (leaves.empty()) { return store; }
   // One root over groups of eight leaves, so that walks see inner nodes.
   const auto group_count = static_cast<std::uint32_t>((leaves.size() + 7) / 8);
   store.tables.voxel_nodes.push_back({all, 1, group_count});
