@@ -142,6 +142,31 @@ int floor_of(float x) {
   return truncated - (static_cast<float>(truncated) > x ? 1 : 0);
 }
 
+// Four neighbouring rows or columns of samples at once. Every lane is computed as a float is, so
+// that nothing depends on how many there are. A comparison gives -1 for true and 0 for false.
+constexpr int kLanes = 4;
+using Float4 = float __attribute__((vector_size(16)));
+using Int4 = std::int32_t __attribute__((vector_size(16)));
+
+Float4 float4(float x) { return Float4{x, x, x, x}; }
+Float4 float4(const Int4& x) { return __builtin_convertvector(x, Float4); }
+Int4 truncated4(const Float4& x) { return __builtin_convertvector(x, Int4); }
+Int4 lanes_from(int first) { return Int4{first, first + 1, first + 2, first + 3}; }
+
+// As std::clamp, but `low` of what is not a number.
+Float4 clamp4(const Float4& x, float low, float high) {
+  const Float4 raised = x > float4(low) ? x : float4(low);
+  return float4(high) < raised ? float4(high) : raised;
+}
+Int4 ceil4(const Float4& x) {
+  const Int4 truncated = truncated4(x);
+  return truncated - (float4(truncated) < x);
+}
+Int4 floor4(const Float4& x) {
+  const Int4 truncated = truncated4(x);
+  return truncated + (float4(truncated) > x);
+}
+
 // The frame in which the samples of all six faces of the bounds have the coordinates 0 to
 // kSamples - 1.
 struct SampleFrame {
@@ -164,8 +189,17 @@ struct SeenPlane {
     per_row = -normal[axes.v] * reciprocal;
     origin = point[axes.axis] - per_column * point[axes.u] - per_row * point[axes.v];
   }
-  [[nodiscard]] float at(int column, int row) const {
-    return origin + per_column * static_cast<float>(column) + per_row * static_cast<float>(row);
+  // Calls visit(block, covered, heights) for each four columns, from block * kLanes, that hold any
+  // from first to last; `covered` tells which.
+  template <class Visit>
+  void for_each_block(int row, int first, int last, Visit&& visit) const {
+    for (int block = first / kLanes; block <= last / kLanes; ++block) {
+      const Int4 columns = lanes_from(block * kLanes);
+      const Int4 covered = (columns >= Int4{} + first) & (columns <= Int4{} + last);
+      visit(block, covered,
+            float4(origin) + float4(per_column) * float4(columns) +
+                float4(per_row * static_cast<float>(row)));
+    }
   }
   float origin = 0.0F;
   float per_column = 0.0F;
@@ -190,23 +224,26 @@ struct SampledPiece {
     const int row_last = floor_of(std::min(high[axes.v], kLastSample));
     const int column_first = ceil_of(std::max(low[axes.u], 0.0F));
     if (row_first > row_last || static_cast<float>(column_first) > high[axes.u]) { return; }
-    for (int row = row_first; row <= row_last; ++row) {
-      const auto at = static_cast<float>(row);
-      float from = kInfinity;
-      float to = -kInfinity;
+    for (int block = row_first / kLanes; block <= row_last / kLanes; ++block) {
+      const Float4 at = float4(lanes_from(block * kLanes));
+      Float4 from = float4(kInfinity);
+      Float4 to = float4(-kInfinity);
       for (std::uint32_t i = 0; i < count; ++i) {
         const Vec3& a = vertices[i];
         const Vec3& b = vertices[i + 1 == count ? 0 : i + 1];
-        if ((a[axes.v] <= at) == (b[axes.v] <= at)) { continue; }
-        const float u =
-            a[axes.u] + (b[axes.u] - a[axes.u]) * ((at - a[axes.v]) / (b[axes.v] - a[axes.v]));
-        from = std::min(from, u);
-        to = std::max(to, u);
+        if (a[axes.v] == b[axes.v]) { continue; }
+        const Int4 crossing = (float4(a[axes.v]) <= at) ^ (float4(b[axes.v]) <= at);
+        const Float4 u =
+            float4(a[axes.u]) + float4(b[axes.u] - a[axes.u]) *
+                                    ((at - float4(a[axes.v])) / float4(b[axes.v] - a[axes.v]));
+        from = crossing & (u < from) ? u : from;
+        to = crossing & (to < u) ? u : to;
       }
-      if (!(from <= to)) { continue; }
-      const int first = ceil_of(std::clamp(from, 0.0F, kLastSample + 1.0F));
-      const int last = floor_of(std::clamp(to, -1.0F, kLastSample));
-      if (first <= last) { visit(row, first, last); }
+      const Int4 first = ceil4(clamp4(from, 0.0F, kLastSample + 1.0F));
+      const Int4 last = floor4(clamp4(to, -1.0F, kLastSample));
+      for (int lane = 0; lane < kLanes; ++lane) {
+        if (first[lane] <= last[lane]) { visit(block * kLanes + lane, first[lane], last[lane]); }
+      }
     }
   }
 
@@ -383,13 +420,13 @@ void set_bounds(ProxyRecord& record, const Aabb& tight, const Aabb& cell) {
 // How often materials are seen; the first eight that turn up are told apart.
 class SeenMaterials {
  public:
-  void add(std::uint32_t material) {
+  void add(std::uint32_t material, unsigned times) {
     std::size_t i = 0;
     while (i < count_ && seen_[i].material != material) { ++i; }
     if (i == seen_.size()) { return; }
     if (i == count_) { seen_[count_++].material = material; }
-    ++seen_[i].times;
-    ++total_;
+    seen_[i].times += times;
+    total_ += times;
   }
 
   struct Seen {
@@ -438,66 +475,95 @@ class SeenMaterials {
 class SeenSides {
  public:
   SeenSides() {
-    low_.fill({kInfinity, 0});
-    high_.fill({-kInfinity, 0});
+    low_.fill(Block{float4(kInfinity), Int4{}});
+    high_.fill(Block{float4(-kInfinity), Int4{}});
   }
 
-  void add(const SampledPiece& piece, const FlatAxes& axes) {
-    if (piece.normal[axes.axis] == 0.0F) { return; }
-    const SeenPlane plane(axes, piece.normal, piece.vertices[0]);
-    piece.for_each_row(axes, [&](int row, int first, int last) {
-      for (int column = first; column <= last; ++column) {
-        const float height = plane.at(column, row);
-        Sample& low =
-            low_[static_cast<std::size_t>(row) * kSamples + static_cast<std::size_t>(column)];
-        Sample& high =
-            high_[static_cast<std::size_t>(row) * kSamples + static_cast<std::size_t>(column)];
-        if (height < low.height) { low = {height, piece.material}; }
-        if (height > high.height) { high = {height, piece.material}; }
-      }
-    });
+  // Four samples of a row, in the given block of columns, at which the piece has such heights.
+  void add(int row, int block, const Int4& covered, const Float4& heights, std::uint32_t material) {
+    const auto at = static_cast<std::size_t>(row * kBlocks + block);
+    const Int4 materials = Int4{} + static_cast<std::int32_t>(material);
+    const Int4 is_lower = covered & (heights < low_[at].heights);
+    low_[at].heights = is_lower ? heights : low_[at].heights;
+    low_[at].materials = is_lower ? materials : low_[at].materials;
+    const Int4 is_higher = covered & (heights > high_[at].heights);
+    high_[at].heights = is_higher ? heights : high_[at].heights;
+    high_[at].materials = is_higher ? materials : high_[at].materials;
   }
 
-  void see_from_below(SeenMaterials& materials) const { see(low_, materials); }
-  void see_from_above(SeenMaterials& materials) const { see(high_, materials); }
+  // Calls visit(material, times), row by row, for samples that see it one after the other.
+  template <class Visit>
+  void see_from_below(Visit&& visit) const {
+    see(low_, visit);
+  }
+  template <class Visit>
+  void see_from_above(Visit&& visit) const {
+    see(high_, visit);
+  }
 
  private:
-  struct Sample {
-    float height = 0.0F;
-    std::uint32_t material = 0;
+  static constexpr int kBlocks = static_cast<int>(kSamples) / kLanes;
+  struct Block {
+    Float4 heights;
+    Int4 materials;
   };
-  using Samples = std::array<Sample, std::size_t{kSamples} * kSamples>;
+  using Blocks = std::array<Block, std::size_t{kSamples} * kBlocks>;
 
-  static void see(const Samples& samples, SeenMaterials& materials) {
-    for (const Sample& sample : samples) {
-      if (std::abs(sample.height) < kInfinity) { materials.add(sample.material); }
+  template <class Visit>
+  static void see(const Blocks& blocks, Visit&& visit) {
+    std::int32_t material = 0;
+    unsigned times = 0;
+    for (const Block& block : blocks) {
+      for (int lane = 0; lane < kLanes; ++lane) {
+        if (!(std::abs(block.heights[lane]) < kInfinity)) { continue; }
+        if (block.materials[lane] != material && times > 0) {
+          visit(static_cast<std::uint32_t>(material), std::exchange(times, 0));
+        }
+        material = block.materials[lane];
+        ++times;
+      }
     }
+    if (times > 0) { visit(static_cast<std::uint32_t>(material), times); }
   }
 
-  Samples low_;
-  Samples high_;
+  Blocks low_;
+  Blocks high_;
 };
 
-// The blocks, 4 x 4 x 4, that hold the piece where the samples of a face see it.
-std::uint64_t blocks_seen(const SampledPiece& piece, const FlatAxes& axes, SampleBits& bits) {
-  constexpr float kBlocksPerSample = 4.0F / static_cast<float>(kSamples);
-  std::uint64_t blocks = 0;
-  const bool is_edge_on = piece.normal[axes.axis] == 0.0F;
-  const SeenPlane plane(axes, piece.normal, piece.vertices[0]);
-  piece.for_each_row(axes, [&](int row, int first, int last) {
-    bits.add(row, first, last);
-    if (is_edge_on) { return; }
+// Which of the 4 x 4 x 4 blocks hold what the samples of a face see.
+class SeenBlocks {
+ public:
+  void add(int row, int block, const Int4& covered, const Float4& heights) {
+    constexpr float kBlocksPerSample = 4.0F / static_cast<float>(kSamples);
+    const Int4 layer =
+        truncated4(clamp4((heights + float4(0.5F)) * float4(kBlocksPerSample), 0.0F, 3.0F));
+    // 2^layer by way of a float's exponent: there is no shift by lanes before AVX2.
+    const Int4 exponent = (layer + 127) << 23;
+    Float4 power;
+    std::memcpy(&power, &exponent, sizeof(power));
+    seen_[static_cast<std::size_t>(row / kLanes * 4 + block)] |= covered & truncated4(power);
+  }
+
+  [[nodiscard]] std::uint64_t blocks(const FlatAxes& axes) const {
+    std::uint64_t blocks = 0;
     std::array<unsigned, 3> at{};
-    at[static_cast<std::size_t>(axes.v)] = static_cast<unsigned>(row) * 4 / kSamples;
-    for (int column = first; column <= last; ++column) {
-      at[static_cast<std::size_t>(axes.u)] = static_cast<unsigned>(column) * 4 / kSamples;
-      at[static_cast<std::size_t>(axes.axis)] = static_cast<unsigned>(
-          std::clamp((plane.at(column, row) + 0.5F) * kBlocksPerSample, 0.0F, 3.0F));
-      blocks |= std::uint64_t{1} << block_bit(at[0], at[1], at[2]);
+    for (unsigned column = 0; column < 16; ++column) {
+      const Int4& lanes = seen_[column];
+      const int layers = lanes[0] | lanes[1] | lanes[2] | lanes[3];
+      at[static_cast<std::size_t>(axes.u)] = column & 3U;
+      at[static_cast<std::size_t>(axes.v)] = column >> 2U;
+      for (unsigned left = static_cast<unsigned>(layers); left != 0; left &= left - 1) {
+        at[static_cast<std::size_t>(axes.axis)] = static_cast<unsigned>(std::countr_zero(left));
+        blocks |= std::uint64_t{1} << block_bit(at[0], at[1], at[2]);
+      }
     }
-  });
-  return blocks;
-}
+    return blocks;
+  }
+
+ private:
+  static_assert(kSamples == 4 * kLanes, "a lane for each column of a block");
+  std::array<Int4, 16> seen_{};  // by row and column of blocks; bit i of a lane: layer i
+};
 
 // The mean distance of the pieces along the normal, and the range of their vertices.
 struct Spread {
@@ -531,15 +597,12 @@ constexpr float kMaterialWeight = 0.5F;
 constexpr float kLampWeight = 4.0F;
 
 // Each returns what the record cannot tell.
-float set_flat_materials(Summary& summary, const Selection& selection, const SampleFrame& frame,
+float set_flat_materials(Summary& summary, const SeenSides& sides, const FlatAxes& axes,
                          const Vec3& normal) {
-  const FlatAxes axes = flat_axes(normal);
-  SeenSides sides;
-  selection.for_each([&](const Piece& piece) { sides.add(SampledPiece(piece, frame), axes); });
   SeenMaterials above;
   SeenMaterials below;
-  sides.see_from_above(above);
-  sides.see_from_below(below);
+  sides.see_from_above([&](std::uint32_t material, unsigned times) { above.add(material, times); });
+  sides.see_from_below([&](std::uint32_t material, unsigned times) { below.add(material, times); });
   if (above.empty()) { return 0.0F; }
   const bool is_up = normal[axes.axis] > 0.0F;
   const auto front = (is_up ? above : below).most();
@@ -617,32 +680,63 @@ float set_flat(Summary& summary, const Selection& selection, const Spread& sprea
   const FlatAxes axes = flat_axes(normal);
   const SampleFrame frame(bounds);
   SampleBits bits;
+  std::optional<SeenSides> sides;
+  if (!has_one_material) { sides.emplace(); }
   selection.for_each([&](const Piece& piece) {
-    SampledPiece(piece, frame).for_each_row(axes, [&](int row, int first, int last) {
+    const SampledPiece sampled(piece, frame);
+    const SeenPlane plane(axes, sampled.normal, sampled.vertices[0]);
+    const bool has_height = sides && sampled.normal[axes.axis] != 0.0F;
+    sampled.for_each_row(axes, [&](int row, int first, int last) {
       bits.add(row, first, last);
+      if (!has_height) { return; }
+      plane.for_each_block(row, first, last,
+                           [&](int block, const Int4& covered, const Float4& heights) {
+                             sides->add(row, block, covered, heights, piece.material);
+                           });
     });
   });
   const PlaneCover cover = cover_plane(bits);
   store_mask(record, cover.mask);
   record.coverage[0] = code_255(cover.coverage);
   const float unknown = thickness + cover.unknown;
-  return has_one_material ? unknown
-                          : unknown + set_flat_materials(summary, selection, frame, normal);
+  return has_one_material ? unknown : unknown + set_flat_materials(summary, *sides, axes, normal);
 }
 
-float set_scattered_materials(Summary& summary, const Selection& selection,
-                              const SampleFrame& frame) {
-  std::array<SeenSides, 3> sides;
-  selection.for_each([&](const Piece& piece) {
-    const SampledPiece sampled(piece, frame);
-    for (int axis = 0; axis < 3; ++axis) {
-      sides[static_cast<std::size_t>(axis)].add(sampled, axes_along(axis));
-    }
-  });
+// What the samples of a face and of the one opposite see.
+struct SeenFace {
+  void add(const SampledPiece& piece, const FlatAxes& axes, SeenSides* sides) {
+    const bool is_edge_on = piece.normal[axes.axis] == 0.0F;
+    const SeenPlane plane(axes, piece.normal, piece.vertices[0]);
+    piece.for_each_row(axes, [&](int row, int first, int last) {
+      bits.add(row, first, last);
+      if (is_edge_on) { return; }
+      plane.for_each_block(row, first, last,
+                           [&](int block, const Int4& covered, const Float4& heights) {
+                             blocks.add(row, block, covered, heights);
+                             if (sides != nullptr) {
+                               sides->add(row, block, covered, heights, piece.material);
+                             }
+                           });
+    });
+  }
+
+  SampleBits bits;
+  SeenBlocks blocks;
+};
+
+float set_scattered_materials(Summary& summary, const std::array<SeenSides, 3>& sides) {
   SeenMaterials all;
-  for (const SeenSides& pair : sides) {
-    pair.see_from_below(all);
-    pair.see_from_above(all);
+  std::array<SeenMaterials, 3> below;
+  std::array<SeenMaterials, 3> above;
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    sides[axis].see_from_below([&](std::uint32_t material, unsigned times) {
+      below[axis].add(material, times);
+      all.add(material, times);
+    });
+    sides[axis].see_from_above([&](std::uint32_t material, unsigned times) {
+      above[axis].add(material, times);
+      all.add(material, times);
+    });
   }
   if (all.empty()) { return 0.0F; }
   const auto most = all.most();
@@ -654,11 +748,8 @@ float set_scattered_materials(Summary& summary, const Selection& selection,
     return static_cast<unsigned>(share * 15.0F + 0.5F);
   };
   for (std::size_t axis = 0; axis < 3; ++axis) {
-    SeenMaterials below;
-    SeenMaterials above;
-    sides[axis].see_from_below(below);
-    sides[axis].see_from_above(above);
-    summary.record.place[axis] = static_cast<std::uint8_t>(code_15(below) | code_15(above) << 4U);
+    summary.record.place[axis] =
+        static_cast<std::uint8_t>(code_15(below[axis]) | code_15(above[axis]) << 4U);
   }
   return kMaterialWeight * all.share(most[1].times);
 }
@@ -701,26 +792,32 @@ float set_scattered(Summary& summary, const Selection& selection, const Aabb& bo
                     bool has_one_material) {
   ProxyRecord& record = summary.record;
   const SampleFrame frame(bounds);
-  std::array<SampleBits, 3> bits;
-  std::uint64_t blocks = 0;
+  std::array<SeenFace, 3> faces;
+  std::optional<std::array<SeenSides, 3>> sides;
+  if (!has_one_material) { sides.emplace(); }
   selection.for_each([&](const Piece& piece) {
     const SampledPiece sampled(piece, frame);
-    for (int axis = 0; axis < 3; ++axis) {
-      blocks |= blocks_seen(sampled, axes_along(axis), bits[static_cast<std::size_t>(axis)]);
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      faces[axis].add(sampled, axes_along(static_cast<int>(axis)),
+                      sides ? &(*sides)[axis] : nullptr);
     }
   });
+  std::uint64_t blocks = 0;
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    blocks |= faces[axis].blocks.blocks(axes_along(static_cast<int>(axis)));
+  }
   store_mask(record, blocks);
   float unknown = 0.0F;
   for (int axis = 0; axis < 3; ++axis) {
     const auto i = static_cast<std::size_t>(axis);
     const std::array<int, 5> columns = column_heights(blocks, axis);
     const float stopped =
-        block_coverage(columns, static_cast<float>(bits[i].count()) / (kSamples * kSamples));
+        block_coverage(columns, static_cast<float>(faces[i].bits.count()) / (kSamples * kSamples));
     record.coverage[i] = code_255(stopped);
     const float occupied = static_cast<float>(16 - columns[0]) / 16.0F;
     unknown += occupied * (0.25F + stopped * (1.0F - stopped)) / 3.0F;
   }
-  if (!has_one_material) { unknown += set_scattered_materials(summary, selection, frame); }
+  if (!has_one_material) { unknown += set_scattered_materials(summary, *sides); }
   set_roundness(summary, selection);
   return unknown;
 }
