@@ -1,6 +1,7 @@
 #include "common/proxy.h"
 
 #include <tbb/parallel_for.h>
+#include <tbb/parallel_sort.h>
 
 #include <algorithm>
 #include <bit>
@@ -14,6 +15,7 @@
 #include <utility>
 
 #include "common/check.h"
+#include "common/flat_index.h"
 #include "common/voxel_block.h"
 
 namespace preheat {
@@ -873,6 +875,7 @@ struct VoxelTree {
   std::vector<BuildNode> nodes{};
   std::vector<BuildSplit> splits{};  // in order
   std::uint32_t splits_kept = 0;
+  float error_min = kInfinity;  // every split of at least this error is there; infinity = not built
 };
 
 // Where many triangles coincide every split multiplies their pieces, so splitting ends at this many
@@ -884,7 +887,8 @@ class VoxelTreeBuilder {
  public:
   explicit VoxelTreeBuilder(VoxelTree& tree) : tree_(tree) {}
 
-  void build(std::vector<Piece> pieces, std::size_t leaf_count_max) {
+  // Leaves out splits of an error below `error_min`.
+  void build(std::vector<Piece> pieces, std::size_t leaf_count_max, float error_min) {
     const std::size_t pieces_max = kPieceGrowthMax * pieces.size() + kPiecesFree;
     pieces_ = std::move(pieces);
     std::vector<std::uint32_t> all(pieces_.size());
@@ -895,6 +899,10 @@ class VoxelTreeBuilder {
     float error = kInfinity;
     while (!open_.empty()) {
       const float error_next = tree_.nodes[open_.front().node].summary.error;
+      if (error_next < error_min) {
+        tree_.error_min = error_min;
+        return;
+      }
       const std::size_t max = error_next > kErrorLarge ? kLeavesMax : leaf_count_max;
       if (leaf_count >= max || pieces_.size() > pieces_max) { break; }
       std::pop_heap(open_.begin(), open_.end(), later_);
@@ -908,6 +916,7 @@ class VoxelTreeBuilder {
       tree_.splits.push_back({error, children - 1});
       leaf_count += children - 1;
     }
+    tree_.error_min = 0.0F;
   }
 
  private:
@@ -977,22 +986,24 @@ class VoxelTreeBuilder {
       parts[above].push_back(index);
       return;
     }
-    std::array<Piece, 8> cut;
-    cut[above] = piece;
+    for (Piece& cut : cut_) { cut.count = 0; }
+    cut_[above] = piece;
     for (unsigned axis = 0; axis < 3; ++axis) {
       if ((cut_axes >> axis & 1U) == 0) { continue; }
       for (unsigned octant = 0; octant < 8; ++octant) {
-        if ((octant >> axis & 1U) != 0 || cut[octant].count == 0) { continue; }
-        const Piece whole = cut[octant];
-        split_piece(whole, static_cast<int>(axis), middle[static_cast<int>(axis)], cut[octant],
-                    cut[octant | (1U << axis)]);
+        if ((octant >> axis & 1U) != 0 || cut_[octant].count == 0) { continue; }
+        const Piece whole = cut_[octant];
+        split_piece(whole, static_cast<int>(axis), middle[static_cast<int>(axis)], cut_[octant],
+                    cut_[octant | (1U << axis)]);
       }
     }
     for (unsigned octant = 0; octant < 8; ++octant) {
-      cut[octant].measure();
-      if (!cut[octant].has_area()) { continue; }
+      Piece& cut = cut_[octant];
+      if (cut.count < 3) { continue; }
+      cut.measure();
+      if (!cut.has_area()) { continue; }
       parts[octant].push_back(static_cast<std::uint32_t>(pieces_.size()));
-      pieces_.push_back(cut[octant]);
+      pieces_.push_back(cut);
     }
   }
 
@@ -1000,6 +1011,7 @@ class VoxelTreeBuilder {
   Later later_{&tree_};
   std::vector<Open> open_;
   std::vector<Piece> pieces_;  // whole and cut, of all nodes
+  std::array<Piece, 8> cut_;   // by octant: the parts of the piece that is distributed
 };
 
 // ---- the cut through all trees that the budget allows ----
@@ -1012,12 +1024,6 @@ constexpr std::uint64_t kDirectoryBytesPerVoxel = 96;
 using CellBytes = std::array<float, 6>;  // low, high
 constexpr std::size_t kCellBytes = sizeof(CellBytes);
 constexpr std::size_t kInnerNodeBytes = 2;
-
-template <class T>
-void sort_unique(std::vector<T>& values) {
-  std::sort(values.begin(), values.end());
-  values.erase(std::unique(values.begin(), values.end()), values.end());
-}
 
 // The cells of the octree nodes that are voxels.
 std::vector<Aabb> voxel_cells(const Octree& octree, std::span<const std::uint32_t> voxel_roots) {
@@ -1044,56 +1050,118 @@ std::vector<Aabb> voxel_cells(const Octree& octree, std::span<const std::uint32_
   return cells;
 }
 
-// Returns a lower bound of the voxel's bytes in the store.
-std::uint64_t build_voxel_tree(const Scene& scene, const Octree& octree, std::uint32_t root,
-                               VoxelTree& tree) {
+// A lower bound of the voxel's bytes in the store.
+std::uint64_t voxel_bytes(const Scene& scene, const Octree& octree, std::uint32_t root) {
   const OctreeNode& node = octree.nodes[root];
-  const auto begin = octree.references.begin() + static_cast<std::ptrdiff_t>(node.references_begin);
-  std::vector<std::uint32_t> triangles(begin, begin + node.references_count);
-  sort_unique(triangles);
-  std::vector<std::uint32_t> vertices;
-  vertices.reserve(triangles.size() * 3);
+  FlatIndex triangles(node.references_count / 2);
+  FlatIndex vertices(node.references_count / 2);
   bool has_normals = false;
-  for (const std::uint32_t id : triangles) {
+  for (std::uint64_t i = 0; i < node.references_count; ++i) {
+    const std::uint32_t id = octree.references[node.references_begin + i];
+    const std::size_t known = triangles.size();
+    if (triangles.number_of(id) < known) { continue; }
     for (const std::uint32_t vertex : scene.triangles[id].vertices) {
-      vertices.push_back(vertex);
+      static_cast<void>(vertices.number_of(vertex));
       has_normals = has_normals || scene.normals[vertex] != Vec3(0.0F);
     }
   }
-  sort_unique(vertices);
-  VoxelTreeBuilder(tree).build(pieces_in_cell(scene, triangles, tree.cell),
-                               kLeavesPerVoxelFree + triangles.size() / kTrianglesPerLeafMin);
   return voxel_block_bytes(vertices.size(), triangles.size(), has_normals) +
          kDirectoryBytesPerVoxel;
 }
 
-// Keeps the splits of largest error, over all voxels, whose bytes fit. A voxel's errors never grow
-// along its splits, so what is kept of it is always a prefix: a tree.
-void keep_splits(std::vector<VoxelTree>& trees, std::uint64_t store_bytes,
-                 std::uint64_t fixed_bytes) {
-  struct Split {
-    float error = 0.0F;
-    std::uint32_t voxel = 0;
-    std::uint32_t index = 0;
-  };
-  std::vector<Split> all;
+void build_voxel_tree(const Scene& scene, const Octree& octree, std::uint32_t root, float error_min,
+                      VoxelTree& tree) {
+  const std::vector<std::uint32_t> triangles = triangles_below(octree, root);
+  tree.nodes.clear();
+  tree.splits.clear();
+  VoxelTreeBuilder(tree).build(pieces_in_cell(scene, triangles, tree.cell),
+                               kLeavesPerVoxelFree + triangles.size() / kTrianglesPerLeafMin,
+                               error_min);
+}
+
+// A split of some voxel, by what is kept first.
+struct RankedSplit {
+  float error = 0.0F;
+  std::uint32_t voxel = 0;
+  std::uint32_t index = 0;
+};
+
+std::vector<RankedSplit> rank_splits(const std::vector<VoxelTree>& trees) {
+  std::vector<RankedSplit> ranked;
   for (std::uint32_t voxel = 0; voxel < trees.size(); ++voxel) {
     for (std::uint32_t index = 0; index < trees[voxel].splits.size(); ++index) {
-      all.push_back({trees[voxel].splits[index].error, voxel, index});
+      ranked.push_back({trees[voxel].splits[index].error, voxel, index});
     }
   }
-  std::sort(all.begin(), all.end(), [](const Split& a, const Split& b) {
+  tbb::parallel_sort(ranked.begin(), ranked.end(), [](const RankedSplit& a, const RankedSplit& b) {
     if (a.error != b.error) { return a.error > b.error; }
     return a.voxel != b.voxel ? a.voxel < b.voxel : a.index < b.index;
   });
-  const auto budget = static_cast<std::uint64_t>(static_cast<double>(store_bytes) * kProxyShareMax);
-  std::uint64_t bytes = fixed_bytes + trees.size() * (kCellBytes + 1 + sizeof(ProxyRecord));
-  for (const Split& split : all) {
+  return ranked;
+}
+
+std::uint64_t bytes_of(const BuildSplit& split) {
+  return split.added * sizeof(ProxyRecord) + kInnerNodeBytes;
+}
+
+// Keeps the splits of largest error, over all voxels, whose bytes fit. A voxel's errors never grow
+// along its splits, so what is kept of it is always a prefix: a tree. Returns the error of the
+// first split that is not kept; 0 if all are.
+float keep_splits(std::vector<VoxelTree>& trees, std::uint64_t budget_bytes) {
+  for (VoxelTree& tree : trees) { tree.splits_kept = 0; }
+  std::uint64_t bytes = 0;
+  for (const RankedSplit& split : rank_splits(trees)) {
     VoxelTree& tree = trees[split.voxel];
-    bytes += tree.splits[split.index].added * sizeof(ProxyRecord) + kInnerNodeBytes;
-    if (bytes > budget) { break; }
+    bytes += bytes_of(tree.splits[split.index]);
+    if (bytes > budget_bytes) { return split.error; }
     tree.splits_kept = split.index + 1;
   }
+  return 0.0F;
+}
+
+// Most splits that a voxel allows are beyond the budget: nine of ten of a small scene, every second
+// or third of a large one. Some voxels, split as far as they allow, tell about where the budget
+// ends; the others are split down to a share of that error. Where the budget then ends no lower, no
+// split that was left out would have been kept, so the guess never changes the result.
+constexpr std::size_t kSampleStride = 16;
+constexpr std::size_t kSampleVoxelsMin = 32;
+constexpr std::array<float, 2> kErrorSharesOfGuess{0.7F, 0.2F};
+
+// What keep_splits() would return if all voxels were as those that are built.
+float guess_error_kept(const std::vector<VoxelTree>& trees, std::size_t voxels_built,
+                       std::uint64_t budget_bytes) {
+  const auto share = static_cast<double>(voxels_built) / static_cast<double>(trees.size());
+  double left = share * static_cast<double>(budget_bytes);
+  for (const RankedSplit& split : rank_splits(trees)) {
+    left -= static_cast<double>(bytes_of(trees[split.voxel].splits[split.index]));
+    if (left < 0.0) { return split.error; }
+  }
+  return 0.0F;
+}
+
+// Builds the trees, whose cells are given, as far as the budget keeps their splits.
+void build_trees(const Scene& scene, const Octree& octree,
+                 std::span<const std::uint32_t> voxel_roots, std::uint64_t budget_bytes,
+                 std::vector<VoxelTree>& trees) {
+  const auto build_every = [&](std::size_t stride, float error_min) {
+    const std::size_t count = (trees.size() + stride - 1) / stride;
+    tbb::parallel_for(std::size_t{0}, count, [&](std::size_t i) {
+      VoxelTree& tree = trees[i * stride];
+      if (tree.error_min <= error_min) { return; }
+      build_voxel_tree(scene, octree, voxel_roots[i * stride], error_min, tree);
+    });
+    return count;
+  };
+  if (trees.size() >= kSampleStride * kSampleVoxelsMin) {
+    const std::size_t count = build_every(kSampleStride, 0.0F);
+    const float guess = guess_error_kept(trees, count, budget_bytes);
+    for (const float share : kErrorSharesOfGuess) {
+      build_every(1, share * guess);
+      if (keep_splits(trees, budget_bytes) >= share * guess) { return; }
+    }
+  }
+  build_every(1, 0.0F);
+  keep_splits(trees, budget_bytes);
 }
 
 // ---- the proxy as a value, and its bytes ----
@@ -1328,12 +1396,17 @@ Proxy build_proxy(const Scene& scene, const Octree& octree,
   std::vector<std::uint64_t> bytes(voxel_roots.size());
   tbb::parallel_for(std::size_t{0}, trees.size(), [&](std::size_t voxel) {
     trees[voxel].cell = cells[voxel];
-    bytes[voxel] = build_voxel_tree(scene, octree, voxel_roots[voxel], trees[voxel]);
+    bytes[voxel] = voxel_bytes(scene, octree, voxel_roots[voxel]);
   });
-  std::uint64_t store_bytes = store_bytes_other;
-  for (const std::uint64_t voxel_bytes : bytes) { store_bytes += voxel_bytes; }
+  const std::uint64_t store_bytes = std::accumulate(bytes.begin(), bytes.end(), store_bytes_other);
+  const auto proxy_bytes_max =
+      static_cast<std::uint64_t>(static_cast<double>(store_bytes) * kProxyShareMax);
   // No record names a material that the scene does not have.
-  keep_splits(trees, store_bytes, sizeof(Header) + sizeof(std::uint32_t) * scene.materials.size());
+  const std::uint64_t proxy_bytes_min = sizeof(Header) +
+                                        sizeof(std::uint32_t) * scene.materials.size() +
+                                        trees.size() * (kCellBytes + 1 + sizeof(ProxyRecord));
+  build_trees(scene, octree, voxel_roots,
+              proxy_bytes_max - std::min(proxy_bytes_min, proxy_bytes_max), trees);
 
   Packed packed;
   MaterialPalette palette;
