@@ -155,6 +155,12 @@ Float4 float4(const Int4& x) { return __builtin_convertvector(x, Float4); }
 Int4 truncated4(const Float4& x) { return __builtin_convertvector(x, Int4); }
 Int4 lanes_from(int first) { return Int4{first, first + 1, first + 2, first + 3}; }
 
+bool is_none(const Int4& condition) {
+  std::array<std::uint64_t, 2> halves;
+  std::memcpy(halves.data(), &condition, sizeof(condition));
+  return (halves[0] | halves[1]) == 0;
+}
+
 // As std::clamp, but `low` of what is not a number.
 Float4 clamp4(const Float4& x, float low, float high) {
   const Float4 raised = x > float4(low) ? x : float4(low);
@@ -210,23 +216,43 @@ struct SeenPlane {
 
 // A piece in the sample frame.
 struct SampledPiece {
+  // The samples along an axis among which it lies.
+  struct Range {
+    [[nodiscard]] bool is_empty() const { return first > last; }
+    int first;
+    int last;
+  };
+
   SampledPiece(const Piece& piece, const SampleFrame& frame)
       : material(piece.material), count(piece.count), normal(frame.normal(piece.normal)) {
+    Vec3 low(kInfinity);
+    Vec3 high(-kInfinity);
     for (std::uint32_t i = 0; i < count; ++i) {
       vertices[i] = frame.point(piece.vertices[i]);
       low = glm::min(low, vertices[i]);
       high = glm::max(high, vertices[i]);
     }
+    for (int axis = 0; axis < 3; ++axis) {
+      ranges[static_cast<std::size_t>(axis)] = {ceil_of(std::max(low[axis], 0.0F)),
+                                                floor_of(std::min(high[axis], kLastSample))};
+    }
+  }
+
+  [[nodiscard]] const Range& range(int axis) const {
+    return ranges[static_cast<std::size_t>(axis)];
+  }
+
+  // False for most pieces that are smaller than a sample's square.
+  [[nodiscard]] bool may_cover_samples(const FlatAxes& axes) const {
+    return !range(axes.u).is_empty() && !range(axes.v).is_empty();
   }
 
   // Calls visit(row, first, last) for each row in which the piece covers samples of the face.
   template <class Visit>
   void for_each_row(const FlatAxes& axes, Visit&& visit) const {
-    const int row_first = ceil_of(std::max(low[axes.v], 0.0F));
-    const int row_last = floor_of(std::min(high[axes.v], kLastSample));
-    const int column_first = ceil_of(std::max(low[axes.u], 0.0F));
-    if (row_first > row_last || static_cast<float>(column_first) > high[axes.u]) { return; }
-    for (int block = row_first / kLanes; block <= row_last / kLanes; ++block) {
+    if (!may_cover_samples(axes)) { return; }
+    const Range rows = range(axes.v);
+    for (int block = rows.first / kLanes; block <= rows.last / kLanes; ++block) {
       const Float4 at = float4(lanes_from(block * kLanes));
       Float4 from = float4(kInfinity);
       Float4 to = float4(-kInfinity);
@@ -252,9 +278,8 @@ struct SampledPiece {
   std::uint32_t material;
   std::uint32_t count;
   Vec3 normal;
-  Vec3 low{kInfinity};
-  Vec3 high{-kInfinity};
-  std::array<Vec3, kPieceVerticesMax> vertices{};
+  std::array<Range, 3> ranges;                   // by axis
+  std::array<Vec3, kPieceVerticesMax> vertices;  // [count]
 };
 
 // One bit for every sample of a face.
@@ -516,8 +541,16 @@ class SeenSides {
     std::int32_t material = 0;
     unsigned times = 0;
     for (const Block& block : blocks) {
+      const Int4 is_seen =
+          (block.heights < float4(kInfinity)) & (block.heights > float4(-kInfinity));
+      if (is_none(is_seen)) { continue; }
+      const Int4 is_other = is_seen & (block.materials != material);
+      if (is_none(is_other)) {
+        times -= static_cast<unsigned>(is_seen[0] + is_seen[1] + is_seen[2] + is_seen[3]);
+        continue;
+      }
       for (int lane = 0; lane < kLanes; ++lane) {
-        if (!(std::abs(block.heights[lane]) < kInfinity)) { continue; }
+        if (is_seen[lane] == 0) { continue; }
         if (block.materials[lane] != material && times > 0) {
           visit(static_cast<std::uint32_t>(material), std::exchange(times, 0));
         }
@@ -707,6 +740,7 @@ float set_flat(Summary& summary, const Selection& selection, const Spread& sprea
 // What the samples of a face and of the one opposite see.
 struct SeenFace {
   void add(const SampledPiece& piece, const FlatAxes& axes, SeenSides* sides) {
+    if (!piece.may_cover_samples(axes)) { return; }
     const bool is_edge_on = piece.normal[axes.axis] == 0.0F;
     const SeenPlane plane(axes, piece.normal, piece.vertices[0]);
     piece.for_each_row(axes, [&](int row, int first, int last) {
