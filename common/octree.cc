@@ -14,6 +14,7 @@
 #include <utility>
 
 #include "common/check.h"
+#include "common/flat_index.h"
 #include "common/scene_tables.h"
 
 namespace preheat {
@@ -530,6 +531,19 @@ bool triangle_overlaps_box(const Vec3& a, const Vec3& b, const Vec3& c, const Aa
                   return overlap;
                 });
   return overlap;
+}
+
+std::vector<std::uint32_t> triangles_below(const Octree& octree, std::uint32_t node) {
+  const OctreeNode& subtree = octree.nodes[node];
+  const auto begin =
+      octree.references.begin() + static_cast<std::ptrdiff_t>(subtree.references_begin);
+  FlatIndex seen(subtree.references_count / 2);
+  std::vector<std::uint32_t> ids;
+  for (auto id = begin; id != begin + subtree.references_count; ++id) {
+    if (seen.number_of(*id) == ids.size()) { ids.push_back(*id); }
+  }
+  std::sort(ids.begin(), ids.end());
+  return ids;
 }
 
 Octree build_octree(const Scene& scene, const OctreeLimits& limits) {

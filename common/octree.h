@@ -53,6 +53,9 @@ struct OctreeLimits {
 
 [[nodiscard]] Octree build_octree(const Scene& scene, const OctreeLimits& limits);
 
+// The triangles that a subtree references, ascending, each once.
+[[nodiscard]] std::vector<std::uint32_t> triangles_below(const Octree& octree, std::uint32_t node);
+
 // The cell of child `octant` (bit 0: upper half in x, bit 1: y, bit 2: z).
 [[nodiscard]] Aabb child_cell(const Aabb& cell, unsigned octant);
 

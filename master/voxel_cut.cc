@@ -142,19 +142,6 @@ VoxelCut cut_into_voxels(const Scene& scene, const Octree& octree, std::uint64_t
   return cut;
 }
 
-std::vector<std::uint32_t> triangles_below(const Octree& octree, std::uint32_t node) {
-  const OctreeNode& subtree = octree.nodes[node];
-  const auto begin =
-      octree.references.begin() + static_cast<std::ptrdiff_t>(subtree.references_begin);
-  FlatIndex seen(subtree.references_count / 2);
-  std::vector<std::uint32_t> ids;
-  for (auto id = begin; id != begin + subtree.references_count; ++id) {
-    if (seen.number_of(*id) == ids.size()) { ids.push_back(*id); }
-  }
-  std::sort(ids.begin(), ids.end());
-  return ids;
-}
-
 Aabb voxel_bounds(const Scene& scene, const std::vector<std::uint32_t>& triangle_ids,
                   const Aabb& cell) {
   const Aabb grown = grown_cell(cell);

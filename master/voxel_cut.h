@@ -28,9 +28,6 @@ struct VoxelCut {
 [[nodiscard]] VoxelCut cut_into_voxels(const Scene& scene, const Octree& octree,
                                        std::uint64_t voxel_size_bytes);
 
-// The triangles that a subtree references, ascending, each once.
-[[nodiscard]] std::vector<std::uint32_t> triangles_below(const Octree& octree, std::uint32_t node);
-
 // The extent of what of these triangles lies in the cell, both grown by kVoxelMargin. Each triangle
 // must overlap the grown cell.
 [[nodiscard]] Aabb voxel_bounds(const Scene& scene, const std::vector<std::uint32_t>& triangle_ids,
