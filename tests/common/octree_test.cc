@@ -444,5 +444,14 @@ TEST(Octree, CellsOfEveryLevelHoldTheirPoints) {
   }
 }
 
+TEST(Octree, TrianglesBelowANodeAscendAndAreUnique) {
+  const Scene scene = test::soup(1000, 0.1F, 5);
+  const Octree octree = build_octree(scene, {.leaf_references_max = 4});
+  std::vector<std::uint32_t> all(scene.triangles.size());
+  std::iota(all.begin(), all.end(), 0U);
+  ASSERT_GT(octree.references.size(), all.size());
+  EXPECT_EQ(triangles_below(octree, 0), all);
+}
+
 }  // namespace
 }  // namespace preheat

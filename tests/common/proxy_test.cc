@@ -381,6 +381,19 @@ TEST(Proxy, StaysWithinATenthOfTheBlocks) {
   }
 }
 
+// Of so many voxels a few are split further than the others, to learn where the budget ends.
+TEST(Proxy, UsesUpItsBudgetWhereItSplitsMostVoxelsNoFurtherThanThat) {
+  const Scene scene = test::soup(20000, 0.01F, /*seed=*/4);
+  const Built built = build(scene, 60);
+  ASSERT_GT(built.voxel_roots.size(), 600U);
+
+  const std::uint64_t stored =
+      block_bytes(scene, built) + built.voxel_roots.size() * sizeof(VoxelEntry);
+
+  const auto proxy_bytes = static_cast<double>(encode_proxy(built.proxy).size());
+  EXPECT_GT(proxy_bytes, 0.1 * static_cast<double>(stored));
+}
+
 TEST(Proxy, HasTheSameBytesOnOneThreadAndOnMany) {
   const Scene scene = test::soup(5000, 0.05F, /*seed=*/5);
   const std::vector<std::byte> on_all = encode_proxy(build(scene, 300).proxy);

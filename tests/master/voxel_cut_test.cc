@@ -3,7 +3,6 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
-#include <numeric>
 #include <set>
 
 #include "common/voxel_block.h"
@@ -96,15 +95,6 @@ TEST(VoxelCut, NodesAreATreeOverAllVoxelsWithoutOnlyChildren) {
   }
   EXPECT_EQ(voxels.size(), cut.roots.size());
   EXPECT_EQ(children, cut.nodes.size());
-}
-
-TEST(VoxelCut, TrianglesBelowANodeAscendAndAreUnique) {
-  const Scene scene = test::soup(1000, 0.1F, 5);
-  const Octree octree = build_octree(scene, {.leaf_references_max = 4});
-  std::vector<std::uint32_t> all(scene.triangles.size());
-  std::iota(all.begin(), all.end(), 0U);
-  ASSERT_GT(octree.references.size(), all.size());
-  EXPECT_EQ(triangles_below(octree, 0), all);
 }
 
 // Every point of a triangle, and what rounding makes of it, lies in the bounds of a voxel that
