@@ -125,12 +125,16 @@ class StageClock {
     const std::size_t end = std::min(voxels.size(), begin + kBlocksPerBatch);
     tbb::parallel_for(begin, end, [&](std::size_t i) {
       const std::vector<std::uint32_t> ids = triangles_below(octree, cut.roots[i]);
+      voxels[i].triangle_count = static_cast<std::uint32_t>(ids.size());
+      if (voxel_block_bytes(0, ids.size(), false) > kVoxelBytesMax) {  // not worth encoding
+        voxels[i].block_bytes = static_cast<std::uint32_t>(kVoxelBytesMax + 1);
+        return;
+      }
       std::vector<std::byte>& block = blocks[i - begin];
       block = encode_voxel_block(scene, ids);
       voxels[i].bounds = voxel_bounds(scene, ids, cut.cells[i]);
       voxels[i].block_bytes =
           static_cast<std::uint32_t>(std::min(block.size(), kVoxelBytesMax + 1));
-      voxels[i].triangle_count = static_cast<std::uint32_t>(ids.size());
       voxels[i].resident_bytes = block.size() + bvh_bytes_bound(ids.size());
       voxels[i].hash = content_hash(block);
     });

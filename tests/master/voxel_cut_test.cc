@@ -161,7 +161,7 @@ TEST(DefaultVoxelSize, FollowsTheSceneBetweenItsLimits) {
   EXPECT_EQ(default_voxel_size(middle),
             voxel_block_bytes(middle.positions.size(), middle.triangles.size(), true) / 256);
   Scene large = test::empty_scene();
-  large.triangles.resize(4'000'000);
+  large.triangles.resize(6'000'000);
   EXPECT_EQ(default_voxel_size(large), kVoxelSizeBytesDefaultMax);
 }
 
