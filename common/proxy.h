@@ -134,8 +134,7 @@ struct Proxy {
   std::vector<std::uint32_t> roots{};      // [voxel_count] into nodes
   std::vector<ProxyNode> nodes{};          // of each voxel breadth first, voxels in order
   std::vector<ProxyRecord> records{};      // in the order of the leaves in `nodes`
-  std::vector<std::uint32_t> materials{};  // material ids that records refer to, by first use; the
-                                           // last one stands for any beyond 2^16
+  std::vector<std::uint32_t> materials{};  // material ids that records refer to, by first use
 };
 
 // `voxel_roots[v]` is the octree node whose subtree is voxel v; the nodes above it hold no leaf

@@ -415,9 +415,9 @@ class MaterialPalette {
  public:
   std::uint16_t index_of(std::uint32_t material) {
     const auto next = static_cast<std::uint32_t>(materials_.size());
-    if (next == 0x10000U && !index_.contains(material)) { return 0xFFFFU; }
     const auto [at, is_new] = index_.emplace(material, next);
     if (is_new) { materials_.push_back(material); }
+    CHECK(at->second < kMaterialCountMax);
     return static_cast<std::uint16_t>(at->second);
   }
   [[nodiscard]] std::vector<std::uint32_t> take() { return std::move(materials_); }

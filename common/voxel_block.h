@@ -5,9 +5,8 @@
 //   positions  float [vertex_count * 3], scene frame, followed by at least 4 bytes of padding, as
 //              Embree reads 16 bytes per vertex
 //   normals    u32 [vertex_count], octahedral 2 x 16 bit, 0 = use the geometric normal; if flagged
-//   indices    [triangle_count * 3], counting the block's vertices: u16 where it has at most 2^16
-//   of
-//              them, else u32
+//   indices    [triangle_count * 3], counting the block's vertices: u16 if there are at most 2^16,
+//              else u32
 //   materials  u16 [triangle_count]
 //   triangles  u32 [triangle_count], global triangle ids
 // Triangles are in the order of triangle_order.h and vertices in that of their first use, so that a

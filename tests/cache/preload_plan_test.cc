@@ -104,8 +104,8 @@ TEST(PreloadPlan, LeavesRoomForEveryVoxelThatRaysAreExpectedToEnter) {
   const std::uint64_t limit = 60 * tables.voxels[0].hot_bytes() + 20 * cold_bytes;
   EXPECT_EQ(hot_count(limit), 60U);
   EXPECT_EQ(hot_count(limit - 1), 59U);
-  // Not even half of them fit: three tenths of the room.
-  EXPECT_EQ(hot_count(40 * cold_bytes), 40 * cold_bytes * 3 / 10 / tables.voxels[0].hot_bytes());
+  // Not even half of them fit: half of the room.
+  EXPECT_EQ(hot_count(40 * cold_bytes), 40 * cold_bytes / 2 / tables.voxels[0].hot_bytes());
 }
 
 TEST(PreloadPlan, WarmsWhatTheRestHasRoomForByRaysPerByte) {
@@ -131,7 +131,7 @@ TEST(PreloadPlan, WarmsWhatTheRestHasRoomForByRaysPerByte) {
   const PreloadPlan all = plan(hot_bytes + 4 * cold_bytes, kAuto);
   EXPECT_THAT(all.hot, ElementsAre(VoxelId{2}));
   EXPECT_THAT(all.warm, ElementsAre(VoxelId{4}, VoxelId{5}, VoxelId{1}));
-  // Three tenths are too few for a hot one.
+  // Half of the room is too little for a hot one.
   EXPECT_THAT(plan(2 * cold_bytes, kAuto).warm, ElementsAre(VoxelId{2}, VoxelId{4}));
   EXPECT_THAT(plan(2 * cold_bytes - 1, kAuto).warm, ElementsAre(VoxelId{2}));
   EXPECT_THAT(plan(hot_bytes + 4 * cold_bytes, 0.5).warm, IsEmpty());
