@@ -63,7 +63,7 @@ draw() {
     print ".l1{stroke:#6fb4ec}.c1{fill:#6fb4ec}.l2{stroke:#f0a15e}.c2{fill:#f0a15e}}"
     print "</style>"
     panel(1, "Hit rate", 0.5, 1, 0.1, "%.1f")
-    panel(2, "Time / time of --local", 0, 4, 1, "%d")
+    panel(2, "Time / time of --local", 0, 5, 1, "%d")
     for (k = 1; k <= scenes; ++k) {
       for (way = 1; way <= 2; ++way) {
         x = 60 + 410 * (k - 1); y = 330 + 22 * way
