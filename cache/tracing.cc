@@ -8,7 +8,6 @@
 #include <mutex>
 #include <optional>
 
-#include "cache/hit_filter.h"
 #include "cache/renderer.h"
 #include "cache/voxel_bvh.h"
 #include "common/check.h"

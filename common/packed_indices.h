@@ -27,8 +27,6 @@ class PackedIndices {
 
   [[nodiscard]] const std::byte* data() const { return data_; }
   [[nodiscard]] bool is_narrow() const { return shift_ == 1; }
-  [[nodiscard]] std::uint32_t shift() const { return shift_; }  // log2 of a number's bytes
-  [[nodiscard]] std::uint32_t mask() const { return mask_; }    // of a word's bits that count
 
   [[nodiscard]] std::vector<std::uint32_t> unpacked() const {
     std::vector<std::uint32_t> numbers(size_);
@@ -39,8 +37,8 @@ class PackedIndices {
  private:
   const std::byte* data_ = nullptr;
   std::size_t size_ = 0;
-  std::uint32_t shift_ = 2;
-  std::uint32_t mask_ = 0xFFFFFFFFU;
+  std::uint32_t shift_ = 2;           // log2 of a number's bytes
+  std::uint32_t mask_ = 0xFFFFFFFFU;  // of a word's bits that count
 };
 
 }  // namespace preheat
